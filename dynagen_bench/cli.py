@@ -1,0 +1,103 @@
+"""The `dynagen` command: one subcommand a thing one does with the benchmark.
+
+What is here: the command line, read by tyro from these functions' signatures and docstrings, and what it prints. Nothing
+calls it. It must not compute anything itself.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import rich
+import rich.table
+import tyro
+
+from dynagen_bench import ids
+from dynagen_bench.collection.policies import POLICY_FOLDER
+from dynagen_bench.collection.runs import collect as collect_runs
+from dynagen_bench.collection.settings import SACSettings
+from dynagen_bench.dynamics import PARAMETERS, draw_dynamics, factor_array, load_dynamics, nominal_robot
+
+app = tyro.extras.SubcommandApp()
+
+Robot = Annotated[str, tyro.conf.Positional]
+
+
+@app.command(name="dynamics show")
+def dynamics_show(robot: Robot, label: Annotated[str, tyro.conf.Positional]) -> None:
+    """Print one dynamics as a table: each element's nominal value, factor and value, with units.
+
+    Args:
+        robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
+        label: train0 to train19, test0 to test4, or nominal.
+    """
+    name = ids.parse_label(ids.check_robot(robot), label)
+    dynamics = load_dynamics(name.robot, name.split, name.index)
+    nominal = nominal_robot(robot)
+    table = rich.table.Table("parameter", "element", "nominal", "factor", "value", "unit", title=name.env_id)
+    for column in table.columns[2:5]:
+        column.justify = "right"
+    for parameter in PARAMETERS:
+        factors = factor_array(robot, dynamics, parameter)
+        values = nominal.values[parameter.field]
+        for i, element in enumerate(nominal.names[parameter.element]):
+            if not np.any(values[i]):
+                continue  # nothing to scale: the world's mass, a root joint's damping
+            shown, scaled = (" ".join(f"{v:.4g}" for v in np.atleast_1d(x)) for x in (values[i], values[i] * factors[i]))
+            table.add_row(parameter.field, element, shown, f"{factors[i]:.3f}", scaled, parameter.unit)
+        table.add_section()
+    rich.print(table)
+
+
+@app.command(name="dynamics draw")
+def dynamics_draw(robot: Robot, seed: int, count: int = 1) -> None:
+    """Draw new dynamics as the benchmark's own were drawn, and print them as JSON, one a line.
+
+    Each line is what `gymnasium.make("Hopper-RandDyn-v0", dynamics=...)` takes.
+
+    Args:
+        robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
+        seed: the same seed draws the same dynamics.
+        count: how many.
+    """
+    ids.check_robot(robot)
+    for sequence in np.random.SeedSequence(seed).spawn(count):
+        sys.stdout.write(json.dumps(draw_dynamics(robot, np.random.default_rng(sequence)).to_json()) + "\n")
+
+
+@app.command
+def collect(
+    robot: Robot,
+    labels: Annotated[list[str], tyro.conf.Positional] = [],  # noqa: B006, tyro reads the default and never changes it
+    folder: Path = POLICY_FOLDER,
+    processes: int | None = None,
+    settings: Annotated[SACSettings, tyro.conf.arg(name="")] = SACSettings(),
+) -> None:
+    """Train the SAC behaviour policies of a robot: what is missing is run, one pinned process a processor.
+
+    Needs the [collect] extra. Hopper's 25 runs take about two hours on two processors.
+
+    Args:
+        robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
+        labels: train0 to train19, test0 to test4; none given means all 25.
+        folder: where the policies are kept.
+        processes: how many at once; one a processor if not given.
+        settings: what SAC is trained with.
+    """
+    names = [ids.parse_label(robot, label) for label in labels] or list(ids.dynamics_ids(robot))
+    collect_runs(names, settings, folder, processes)
+
+
+def main() -> None:
+    """Run the command; a mistake of the user's ends in one line on stderr and exit code 2."""
+    try:
+        app.cli(prog="dynagen", description="DynaGen Bench: bodies, data and scores of offline dynamics generalization.")
+    except (ValueError, FileNotFoundError, RuntimeError) as error:
+        sys.stderr.write(f"dynagen: {error}\n")
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

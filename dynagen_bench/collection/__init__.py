@@ -1,0 +1,1 @@
+"""How the data was made: SAC runs, their stored behaviour policies, and the episodes these give."""

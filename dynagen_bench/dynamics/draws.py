@@ -1,0 +1,86 @@
+"""The draws of the benchmark: 20 train and 5 test dynamics a robot, and how one makes more.
+
+What is here: drawing from a seed, and reading the reviewed draws of v0 from the package's JSON files. Called by the
+environments and the command line. It must not know how factors reach a model.
+
+The files hold what `draw_split` gives for `SEED`; a test pins their hashes and draws them again.
+"""
+
+import functools
+import importlib.resources
+import json
+from typing import Any, Final
+
+import numpy as np
+
+from dynagen_bench import ids
+from dynagen_bench.dynamics.parameters import PARAMETERS, Dynamics, nominal_robot
+
+SEED: Final = 20221128
+"""Entropy of v0's draws: the first day of NeurIPS 2022, whose workshops saw the paper."""
+
+LOG_RANGE: Final = 3.0
+"""r ~ Uniform(-3, 3) in base**r (paper, appendix B)."""
+
+DECIMALS: Final = 6
+"""Factors are rounded, so that the file that was reviewed is the definition, whatever a platform's pow() gives."""
+
+
+def draw_dynamics(robot: str, rng: np.random.Generator) -> Dynamics:
+    """Draw one dynamics: every element of every parameter has its own r ~ Uniform(-3, 3).
+
+    Drawn in the order of `PARAMETERS`, elements in MuJoCo's order, the floor geom included and the massless world body
+    left out. An element whose nominal value is 0 (the damping of a root joint) has a draw that does nothing.
+    """
+    drawn: dict[str, dict[str, float]] = {}
+    for parameter in PARAMETERS:
+        names = [name for name in nominal_robot(robot).names[parameter.element] if name != "world"]
+        factors = parameter.base ** rng.uniform(-LOG_RANGE, LOG_RANGE, size=len(names))
+        drawn[parameter.field] = {name: round(float(f), DECIMALS) for name, f in zip(names, factors, strict=True)}
+    return Dynamics.from_json(drawn)
+
+
+def draw_split(robot: str, split: str, seed: int = SEED) -> list[Dynamics]:
+    """Draw the dynamics of one split; each depends on (seed, robot, split, index) alone.
+
+    Raises:
+        ValueError: an unknown robot or split, or `nominal`, of which there is nothing to draw.
+    """
+    if ids.check_split(split) == "nominal":
+        raise ValueError("split 'nominal' is the unchanged robot: draw 'train' or 'test'")
+    key = (ids.ROBOTS.index(ids.check_robot(robot)), tuple(ids.SPLIT_SIZES).index(split))
+    return [
+        draw_dynamics(robot, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*key, index))))
+        for index in range(ids.SPLIT_SIZES[split])
+    ]
+
+
+@functools.cache
+def _read(robot: str) -> dict[str, Any]:
+    file = importlib.resources.files("dynagen_bench.dynamics") / "data" / f"{ids.check_robot(robot)}.json"
+    content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return content
+
+
+def load_dynamics(robot: str, split: str, index: int) -> Dynamics:
+    """The benchmark's own dynamics of this name; `nominal` has no factors.
+
+    Raises:
+        ValueError: an unknown robot or split, or an index that the split does not have.
+    """
+    name = ids.make_id(robot, split, index)
+    if name.split == "nominal":
+        return Dynamics()
+    return Dynamics.from_json(_read(robot)[name.split][name.index])
+
+
+def draws_json(robot: str, seed: int = SEED) -> str:
+    """The text of a robot's JSON file: how it was drawn, then its factors, one element a line for review."""
+    content = {
+        "robot": robot,
+        "drawn": f"base**r, r ~ Uniform(-{LOG_RANGE:g}, {LOG_RANGE:g}), one draw an element",
+        "seed": seed,
+        "base": {parameter.field: parameter.base for parameter in PARAMETERS},
+        **{split: [d.to_json() for d in draw_split(robot, split, seed)] for split in ("train", "test")},
+    }
+    return json.dumps(content, indent=1) + "\n"

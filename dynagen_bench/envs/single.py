@@ -1,0 +1,196 @@
+"""One environment: Gymnasium's v5 robot on a model with drawn dynamics, stepped as one function of the state.
+
+What is here: `RandomDynamics`, which goes in front of a v5 robot class, one file a robot. It must not know episodes'
+horizon (Gymnasium's `TimeLimit` has it), data or agents.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from gymnasium import utils
+from gymnasium.envs.mujoco import MujocoEnv
+from numpy.typing import NDArray
+
+from dynagen_bench import ids
+from dynagen_bench.dynamics import Dynamics, apply_dynamics, compile_nominal, load_dynamics
+from dynagen_bench.envs.rules import Array, Rules, initial_state, observe, reward
+
+RENDER_KEYWORDS = (
+    "render_mode",
+    "width",
+    "height",
+    "camera_id",
+    "camera_name",
+    "default_camera_config",
+    "max_geom",
+    "visual_options",
+)
+
+BAD_STATE_WARNINGS = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
+"""After one of these MuJoCo resets the simulation by itself, in the middle of an episode."""
+
+
+class RandomDynamics(MujocoEnv):
+    """The part that all robots share; a robot's class puts it before Gymnasium's.
+
+    A step is a function of (dynamics, qpos, qvel, action) and of nothing else, bit for bit: the solver's warm start is
+    cleared before it, and velocity and contact forces are taken at the new state. (Gymnasium's Ant and Humanoid take
+    them from the last substep's start, one substep behind.)
+
+    Attributes:
+        robot: name of the robot, one of `ids.ROBOTS`.
+        substeps: physics steps in a control step; Gymnasium's frame skip of that robot.
+        default_rules: the task's numbers; a keyword argument of a field's name overrides it.
+        base_keywords: what Gymnasium's class has to be told to give our observation.
+    """
+
+    robot: ClassVar[str]
+    substeps: ClassVar[int]
+    default_rules: ClassVar[Rules]
+    base_keywords: ClassVar[Mapping[str, Any]] = {}
+
+    def __init__(
+        self,
+        split: str | None = None,
+        index: int | None = None,
+        dynamics: Mapping[str, Mapping[str, float]] | None = None,
+        **kwargs: Any,
+    ) -> None:
+        """Make the environment.
+
+        Args:
+            split: `train`, `test` or `nominal`; `train` if neither it nor `dynamics` is given.
+            index: number of the dynamics in its split; None draws one at every reset from the environment's generator.
+            dynamics: a user's own factors as plain data, `{"body_mass": {"torso": 1.3}}`, instead of split and index.
+            kwargs: fields of `Rules`, and Gymnasium's rendering arguments.
+
+        Raises:
+            ValueError: an unknown split, index or element, or `dynamics` beside `split` or `index`.
+            TypeError: an unknown keyword.
+        """
+        rule_names = [field.name for field in dataclasses.fields(Rules) if field.name != "healthy"]
+        unknown = sorted(set(kwargs) - set(rule_names) - set(RENDER_KEYWORDS))
+        if unknown:
+            allowed = ", ".join(["split", "index", "dynamics", *RENDER_KEYWORDS, *rule_names])
+            raise TypeError(f"{self.robot} has no keyword {unknown[0]!r}: choose from {allowed}")
+        if dynamics is not None and (split is not None or index is not None):
+            raise ValueError("give either dynamics= or split= and index=, not both")
+        self._own = None if dynamics is None else Dynamics.from_json(dynamics)
+        self._split = ids.check_split("train" if split is None else split)
+        self._index = 0 if self._split == "nominal" else index
+        if self._index is not None:
+            ids.check_index(self._split, self._index)
+        self.rules = dataclasses.replace(self.default_rules, **{k: kwargs[k] for k in rule_names if k in kwargs})
+        self.dynamics_index = -1
+
+        base = {key: kwargs[key] for key in RENDER_KEYWORDS if key in kwargs}
+        hide = self.rules.exclude_current_positions_from_observation
+        super().__init__(
+            frame_skip=self.substeps, exclude_current_positions_from_observation=hide, **self.base_keywords, **base
+        )
+        # Gymnasium's class has stored its own arguments for pickling: ours replace them
+        utils.EzPickle.__init__(self, split=split, index=index, dynamics=dynamics, **kwargs)
+
+    def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        # Everything that Gymnasium derives (initial state, spaces, renderer) is made after this, from the changed model.
+        # The framebuffer grows to the asked size, as in Gymnasium's method, which this one replaces.
+        model = compile_nominal(self.robot)
+        model.vis.global_.offwidth = max(model.vis.global_.offwidth, self.width)
+        model.vis.global_.offheight = max(model.vis.global_.offheight, self.height)
+        if self._own is not None:
+            apply_dynamics(self.robot, model, self._own)
+        elif self._index is not None:
+            self._apply_index(model, self._index)
+        return model, mujoco.MjData(model)
+
+    def _apply_index(self, model: mujoco.MjModel, index: int) -> None:
+        apply_dynamics(self.robot, model, load_dynamics(self.robot, self._split, index))
+        self.dynamics_index = index
+
+    def reset_model(self) -> Array:
+        """Draw the dynamics where none is fixed, then the noisy initial state; returns the observation (S,)."""
+        if self._own is None and self._index is None:
+            self._apply_index(self.model, int(self.np_random.integers(ids.SPLIT_SIZES[self._split])))
+        self.set_state(*initial_state(self.rules, self.init_qpos, self.model.nv, self.np_random))
+        return self._get_obs()
+
+    def _get_obs(self) -> Array:
+        return observe(self.rules, self.data.qpos, self.data.qvel)
+
+    def _get_reset_info(self) -> dict[str, Any]:
+        return {**super()._get_reset_info(), "dynamics_index": self.dynamics_index}
+
+    def step(self, action: NDArray[np.floating[Any]]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Advance one control step.
+
+        Args:
+            action: (A,) in the action space; what lies outside it is clipped, as the actuators would.
+
+        Returns:
+            observation (S,) float64, reward, terminated, False, info. After an unstable step (MuJoCo's bad-state
+            warnings) the episode ends where it was: the old state, reward 0, terminated, `info["unstable"]` True.
+
+        Raises:
+            ValueError: the action has another shape, or a value in it is not finite; no physics has run.
+        """
+        before = self.data.qpos.copy(), self.data.qvel.copy()
+        ctrl = self._control(action)
+        stable = self._advance(ctrl)
+        if not stable:
+            self.set_state(*before)
+        qpos, qvel = self.data.qpos, self.data.qvel
+        velocity = np.asarray((qpos[0] - before[0][0]) / self.dt)
+        healthy = self.rules.healthy(self.rules, qpos, qvel)
+        forces = self.data.cfrc_ext if self.rules.contact_cost_weight else None
+        terms = reward(self.rules, velocity, healthy, ctrl, forces)
+        terminated = not stable or (self.rules.terminate_when_unhealthy and not healthy)
+        info = super()._get_reset_info() | self._velocity_info(before[0])
+        info |= {
+            "reward_forward": float(terms.forward),
+            "reward_ctrl": float(terms.ctrl),
+            "reward_survive": float(terms.survive),
+            "reward_contact": float(terms.contact),
+        }
+        if not stable:
+            info["unstable"] = True
+        if self.render_mode == "human":
+            self.render()
+        return self._get_obs(), float(terms.total) if stable else 0.0, bool(terminated), False, info
+
+    def _control(self, action: NDArray[np.floating[Any]]) -> Array:
+        ctrl = np.asarray(action, dtype=np.float64)
+        if ctrl.shape != (self.model.nu,):
+            raise ValueError(f"action has shape {ctrl.shape}: {self.robot} takes ({self.model.nu},)")
+        if not np.isfinite(ctrl).all():
+            raise ValueError(f"action {ctrl} is not finite: give numbers from {self.robot}'s action space")
+        low, high = self.model.actuator_ctrlrange.T
+        clipped: Array = np.clip(ctrl, low, high)
+        return clipped
+
+    def _advance(self, ctrl: Array) -> bool:
+        """Run the substeps; True if MuJoCo reported no bad state."""
+        data = self.data
+        data.qacc_warmstart[:] = 0.0
+        data.ctrl[:] = ctrl
+        warnings = data.warning.number
+        warnings[BAD_STATE_WARNINGS] = 0
+        mujoco.mj_step(self.model, data, nstep=self.frame_skip)
+        if self.rules.contact_cost_weight:
+            mujoco.mj_forward(self.model, data)
+            mujoco.mj_rnePostConstraint(self.model, data)
+        return not data.warning.number[BAD_STATE_WARNINGS].any()
+
+    def _velocity_info(self, qpos_before: Array) -> dict[str, Any]:
+        hidden = self.rules.hidden_positions
+        velocity = (self.data.qpos[:hidden] - qpos_before[:hidden]) / self.dt
+        return {f"{axis}_velocity": float(v) for axis, v in zip("xy", velocity, strict=False)}

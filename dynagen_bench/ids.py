@@ -1,0 +1,124 @@
+"""Every id of the benchmark, built and parsed in one place.
+
+What is here: the names of robots and splits, and the ids of environments and datasets made from them. Everything else
+in the project calls it; it imports nothing of ours, and it must not know what an id stands for.
+
+    Hopper-RandDyn-v0               the environment, dynamics chosen by keyword arguments
+    Hopper-RandDyn-test3            the same environment, one dynamics
+    dynagen/Hopper-RandDyn/test3-v0 the Minari dataset collected in it
+"""
+
+import dataclasses
+import difflib
+import re
+from collections.abc import Iterator
+from typing import Final
+
+ROBOTS: Final = ("Walker", "Hopper", "HalfCheetah", "SlimHumanoid", "Ant")
+SPLIT_SIZES: Final = {"train": 20, "test": 5, "nominal": 1}
+"""Number of dynamics in each split: the paper's dynamics 0-19 and 20-24, and the unchanged robot."""
+
+NAMESPACE: Final = "dynagen"
+VERSION: Final = 0
+
+_SHORT_ID = re.compile(r"(?P<robot>[A-Za-z]+)-RandDyn-(?P<split>train|test)(?P<index>0|[1-9]\d*)")
+_DATASET_ID = re.compile(
+    rf"{NAMESPACE}/(?P<robot>[A-Za-z]+)-RandDyn/(?P<split>train|test)(?P<index>0|[1-9]\d*)-v{VERSION}"
+)
+
+
+@dataclasses.dataclass(frozen=True, order=True)
+class DynamicsId:
+    """One dynamics of one robot, by name: `DynamicsId("Hopper", "test", 3)`."""
+
+    robot: str
+    split: str
+    index: int
+
+    @property
+    def label(self) -> str:
+        """Split and index as one word, `test3`; `nominal` for the unchanged robot."""
+        return self.split if self.split == "nominal" else f"{self.split}{self.index}"
+
+    @property
+    def env_id(self) -> str:
+        """Gymnasium's id of this dynamics, `Hopper-RandDyn-test3`."""
+        return f"{self.robot}-RandDyn-{self.label}"
+
+    @property
+    def dataset_id(self) -> str:
+        """Minari's id of the data of this dynamics, `dynagen/Hopper-RandDyn/test3-v0`."""
+        return f"{NAMESPACE}/{self.robot}-RandDyn/{self.label}-v{VERSION}"
+
+
+def check_robot(robot: str) -> str:
+    """Return `robot`; raise ValueError with the nearest known name if it is not one of `ROBOTS`."""
+    if robot in ROBOTS:
+        return robot
+    near = difflib.get_close_matches(str(robot).capitalize(), ROBOTS, n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise ValueError(f"unknown robot {robot!r}: choose one of {', '.join(ROBOTS)}{hint}")
+
+
+def check_split(split: str) -> str:
+    """Return `split`; raise ValueError naming the allowed ones if it is not in `SPLIT_SIZES`."""
+    if split in SPLIT_SIZES:
+        return split
+    raise ValueError(f"unknown split {split!r}: choose one of {', '.join(SPLIT_SIZES)}")
+
+
+def check_index(split: str, index: int) -> int:
+    """Return `index`; raise ValueError with the allowed range if the split has no such dynamics."""
+    size = SPLIT_SIZES[check_split(split)]
+    if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < size:
+        raise ValueError(f"index {index!r} is not in split {split!r}: choose a whole number from 0 to {size - 1}")
+    return index
+
+
+def make_id(robot: str, split: str, index: int) -> DynamicsId:
+    """Return the checked id of one dynamics; raises ValueError as the `check_` functions do."""
+    return DynamicsId(check_robot(robot), check_split(split), check_index(split, index))
+
+
+def v0_env_id(robot: str) -> str:
+    """Gymnasium's id of a robot whose dynamics are chosen by keyword, `Hopper-RandDyn-v0`."""
+    return f"{check_robot(robot)}-RandDyn-v{VERSION}"
+
+
+def parse_label(robot: str, label: str) -> DynamicsId:
+    """Parse `test3`, `train0` or `nominal` of a robot.
+
+    Raises:
+        ValueError: the label is of another form, or its index is outside the split.
+    """
+    if label == "nominal":
+        return make_id(robot, "nominal", 0)
+    match = re.fullmatch(r"(train|test)(0|[1-9]\d*)", label)
+    if match is None:
+        raise ValueError(f"unknown dynamics {label!r}: write train0 to train19, test0 to test4, or nominal")
+    return make_id(robot, match[1], int(match[2]))
+
+
+def parse_env_id(env_id: str) -> DynamicsId:
+    """Parse `Hopper-RandDyn-test3`; raises ValueError if it is not the short id of one dynamics."""
+    return _parse(_SHORT_ID, env_id, "Hopper-RandDyn-test3")
+
+
+def parse_dataset_id(dataset_id: str) -> DynamicsId:
+    """Parse `dynagen/Hopper-RandDyn/test3-v0`; raises ValueError if it is not the id of one of our datasets."""
+    return _parse(_DATASET_ID, dataset_id, "dynagen/Hopper-RandDyn/test3-v0")
+
+
+def _parse(pattern: re.Pattern[str], text: str, example: str) -> DynamicsId:
+    match = pattern.fullmatch(text)
+    if match is None:
+        raise ValueError(f"cannot read the id {text!r}: write it as {example!r}")
+    return make_id(match["robot"], match["split"], int(match["index"]))
+
+
+def dynamics_ids(robot: str, splits: tuple[str, ...] = ("train", "test")) -> Iterator[DynamicsId]:
+    """Yield the ids of a robot's dynamics, split by split, in order of index."""
+    check_robot(robot)
+    for split in splits:
+        for index in range(SPLIT_SIZES[check_split(split)]):
+            yield DynamicsId(robot, split, index)
