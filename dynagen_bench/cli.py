@@ -1,11 +1,12 @@
 """The `dynagen` command: one subcommand a thing one does with the benchmark.
 
-What is here: the command line, read by tyro from these functions' signatures and docstrings, and what it prints. Nothing
-calls it. It must not compute anything itself.
+What is here: the command line, read by tyro from these functions' signatures and docstrings, and what it prints.
+Nothing calls it. It must not compute anything itself.
 """
 
 import json
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -20,12 +21,9 @@ from dynagen_bench.collection.runs import collect as collect_runs
 from dynagen_bench.collection.settings import SACSettings
 from dynagen_bench.dynamics import PARAMETERS, draw_dynamics, factor_array, load_dynamics, nominal_robot
 
-app = tyro.extras.SubcommandApp()
-
 Robot = Annotated[str, tyro.conf.Positional]
 
 
-@app.command(name="dynamics show")
 def dynamics_show(robot: Robot, label: Annotated[str, tyro.conf.Positional]) -> None:
     """Print one dynamics as a table: each element's nominal value, factor and value, with units.
 
@@ -45,13 +43,14 @@ def dynamics_show(robot: Robot, label: Annotated[str, tyro.conf.Positional]) -> 
         for i, element in enumerate(nominal.names[parameter.element]):
             if not np.any(values[i]):
                 continue  # nothing to scale: the world's mass, a root joint's damping
-            shown, scaled = (" ".join(f"{v:.4g}" for v in np.atleast_1d(x)) for x in (values[i], values[i] * factors[i]))
+            shown, scaled = (
+                " ".join(f"{v:.4g}" for v in np.atleast_1d(x)) for x in (values[i], values[i] * factors[i])
+            )
             table.add_row(parameter.field, element, shown, f"{factors[i]:.3f}", scaled, parameter.unit)
         table.add_section()
     rich.print(table)
 
 
-@app.command(name="dynamics draw")
 def dynamics_draw(robot: Robot, seed: int, count: int = 1) -> None:
     """Draw new dynamics as the benchmark's own were drawn, and print them as JSON, one a line.
 
@@ -67,13 +66,12 @@ def dynamics_draw(robot: Robot, seed: int, count: int = 1) -> None:
         sys.stdout.write(json.dumps(draw_dynamics(robot, np.random.default_rng(sequence)).to_json()) + "\n")
 
 
-@app.command
 def collect(
     robot: Robot,
     labels: Annotated[list[str], tyro.conf.Positional] = [],  # noqa: B006, tyro reads the default and never changes it
     folder: Path = POLICY_FOLDER,
     processes: int | None = None,
-    settings: Annotated[SACSettings, tyro.conf.arg(name="")] = SACSettings(),
+    settings: Annotated[SACSettings, tyro.conf.arg(name="")] = SACSettings(),  # noqa: B008, frozen
 ) -> None:
     """Train the SAC behaviour policies of a robot: what is missing is run, one pinned process a processor.
 
@@ -90,10 +88,26 @@ def collect(
     collect_runs(names, settings, folder, processes)
 
 
-def main() -> None:
+COMMANDS: dict[str, Callable[..., None]] = {
+    "dynamics show": dynamics_show,
+    "dynamics draw": dynamics_draw,
+    "collect": collect,
+}
+"""What may follow `dynagen`: one word, or a group's word and one of its commands."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; a mistake of the user's ends in one line on stderr and exit code 2."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    word = given[0] if given else ""
+    group = {name.removeprefix(f"{word} "): run for name, run in COMMANDS.items() if name.startswith(f"{word} ")}
     try:
-        app.cli(prog="dynagen", description="DynaGen Bench: bodies, data and scores of offline dynamics generalization.")
+        tyro.extras.subcommand_cli_from_dict(
+            group or COMMANDS,
+            prog=f"dynagen {word}" if group else "dynagen",
+            description="DynaGen Bench: bodies, data and scores of offline dynamics generalization.",
+            args=given[1:] if group else given,
+        )
     except (ValueError, FileNotFoundError, RuntimeError) as error:
         sys.stderr.write(f"dynagen: {error}\n")
         sys.exit(2)

@@ -18,7 +18,6 @@ from dynagen_bench import ids
 from dynagen_bench.collection.policies import policy_file
 from dynagen_bench.collection.settings import SACSettings
 
-
 NICENESS: Final = 10
 """Runs take hours: they leave the processor to whatever a user does beside them."""
 

@@ -127,7 +127,8 @@ def compile_nominal(robot: str, contact_forces: bool = False) -> mujoco.MjModel:
 def _set_derived(model: mujoco.MjModel) -> None:
     """Recompute what MuJoCo derives from masses, inertias and friction, as its compiler would.
 
-    `mj_setConst` leaves `stat.meaninertia` (it scales the solver's tolerance) and `stat.meanmass` as compiled. It moves the `MjData` that it is given to the reference pose, so it gets one of its own.
+    `mj_setConst` leaves `stat.meaninertia` (it scales the solver's tolerance) and `stat.meanmass` as compiled.
+    It moves the `MjData` that it is given to the reference pose, so it gets one of its own.
     """
     mujoco.mj_setConst(model, mujoco.MjData(model))
     model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv

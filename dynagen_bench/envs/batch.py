@@ -1,11 +1,11 @@
 """Many simulations of one robot, each with dynamics of its own, stepped together on a C thread pool.
 
-What is here: `BatchPhysics`, the transition function of `single` for N states at once. Collection and evaluation call it.
-It must not know episodes: who resets, and when, is its caller's.
+What is here: `BatchPhysics`, the transition function of `single` for N states at once. Collection and evaluation call
+it. It must not know episodes: who resets, and when, is its caller's.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -73,14 +73,25 @@ class BatchPhysics:
     def __len__(self) -> int:
         return int(self._batch.nsim)
 
-    def start(self, simulations: NDArray[np.integer], rngs: Sequence[np.random.Generator]) -> Array:
-        """Put simulations (M,) at the start of an episode, each drawn from its own generator; returns observations (M, S)."""
+    @property
+    def warnings(self) -> NDArray[np.integer[Any]]:
+        """(N, kinds): how often MuJoCo has warned of each kind of trouble since the batch was made."""
+        counts: NDArray[np.integer[Any]] = self._batch.warning[:, :, 1]
+        return counts
+
+    def start(self, simulations: NDArray[np.integer[Any]], rngs: Sequence[np.random.Generator]) -> Array:
+        """Put simulations (M,) at the start of an episode, each drawn from its own generator.
+
+        Returns the observations, (M, S) float64: those of a single environment reset with the generator's seed.
+        """
         reference, velocities = self._models[0].qpos0, self._models[0].nv
         for simulation, rng in zip(simulations, rngs, strict=True):
             self.qpos[simulation], self.qvel[simulation] = initial_state(self.rules, reference, velocities, rng)
         return observe(self.rules, self.qpos[simulations], self.qvel[simulations])
 
-    def step(self, actions: NDArray[np.floating], simulations: NDArray[np.integer] | None = None) -> Transition:
+    def step(
+        self, actions: NDArray[np.floating[Any]], simulations: NDArray[np.integer[Any]] | None = None
+    ) -> Transition:
         """Advance simulations (M,), or all N, by one control step with actions (M, A).
 
         Raises:
@@ -107,12 +118,13 @@ class BatchPhysics:
         observations = observe(self.rules, qpos, qvel)
         return Transition(observations, np.where(unstable, 0.0, total), ended | unstable, unstable)
 
-    def _advance(self, rows: NDArray[np.integer], ctrl: Array) -> NDArray[np.bool_]:
+    def _advance(self, rows: NDArray[np.integer[Any]], ctrl: Array) -> NDArray[np.bool_]:
         self._warmstart[rows] = 0.0
         self._ctrl[rows] = ctrl
-        counts = self._batch.warning[:, BAD_STATE_WARNINGS].sum(axis=(1, 2))
+        before = self.warnings[:, BAD_STATE_WARNINGS].sum(axis=1)
         stage = mujoco.mjtStage.mjSTAGE_ACC if self._touch else mujoco.mjtStage.mjSTAGE_NONE
         everyone = len(rows) == len(self)
         self._batch.step(ids=None if everyone else rows, nstep=self._substeps, stage=stage)
-        unstable: NDArray[np.bool_] = (self._batch.warning[:, BAD_STATE_WARNINGS].sum(axis=(1, 2)) != counts)[rows]
+        after = self.warnings[:, BAD_STATE_WARNINGS].sum(axis=1)
+        unstable: NDArray[np.bool_] = (after != before)[rows]
         return unstable

@@ -7,7 +7,7 @@ from dynagen_bench.envs.single import RandomDynamics
 
 
 class HalfCheetah(RandomDynamics, half_cheetah_v5.HalfCheetahEnv):
-    """A torso on a front and a back leg that runs forward in the x-z plane: Gymnasium's HalfCheetah-v5 with drawn dynamics.
+    """A torso on two legs that runs forward in the x-z plane: Gymnasium's HalfCheetah-v5 with drawn dynamics.
 
     A control step is 5 substeps of 0.01 s, 0.05 s; an episode has 200 of them.
 

@@ -23,9 +23,9 @@ def always_healthy(rules: "Rules", qpos: Array, qvel: Array) -> NDArray[np.bool_
 
 
 def upright_healthy(rules: "Rules", qpos: Array, qvel: Array) -> NDArray[np.bool_]:
-    """Planar robots: height, pitch and every other state strictly inside their ranges (Gymnasium Hopper-v5, Walker2d-v5)."""
+    """Planar robots: height, pitch and all states strictly inside their ranges (Gymnasium Hopper-v5, Walker2d-v5)."""
     low, high = rules.healthy_state_range
-    inside: NDArray[np.bool_] = ((low < qpos[..., 2:]) & (qpos[..., 2:] < high)).all(axis=-1)
+    inside: NDArray[np.bool_] = np.asarray(((low < qpos[..., 2:]) & (qpos[..., 2:] < high)).all(axis=-1))
     inside &= ((low < qvel) & (qvel < high)).all(axis=-1)
     height, pitch = qpos[..., 1], qpos[..., 2]
     inside &= (rules.healthy_z_range[0] < height) & (height < rules.healthy_z_range[1])
@@ -35,7 +35,7 @@ def upright_healthy(rules: "Rules", qpos: Array, qvel: Array) -> NDArray[np.bool
 
 def height_healthy(rules: "Rules", qpos: Array, qvel: Array) -> NDArray[np.bool_]:
     """Robots with a free root: finite, and the height inside its range, ends included (Gymnasium Ant-v5)."""
-    inside: NDArray[np.bool_] = np.isfinite(qpos).all(axis=-1) & np.isfinite(qvel).all(axis=-1)
+    inside: NDArray[np.bool_] = np.asarray(np.isfinite(qpos).all(axis=-1) & np.isfinite(qvel).all(axis=-1))
     height = qpos[..., 2]
     inside &= (rules.healthy_z_range[0] <= height) & (height <= rules.healthy_z_range[1])
     return inside
@@ -91,7 +91,7 @@ class Reward(NamedTuple):
 def initial_state(
     rules: Rules, reference_qpos: Array, velocities: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Draw the start of an episode, qpos (nq,) and qvel (nv,), with the draws of Gymnasium's `reset_model` in its order."""
+    """Draw the start of an episode, qpos (nq,) and qvel (nv,), as Gymnasium's `reset_model` does and in its order."""
     scale = rules.reset_noise_scale
     qpos = reference_qpos + rng.uniform(low=-scale, high=scale, size=reference_qpos.size)
     if rules.normal_velocity_noise:
@@ -100,7 +100,7 @@ def initial_state(
 
 
 def observe(rules: Rules, qpos: Array, qvel: Array) -> Array:
-    """Observation (..., S) of states qpos (..., nq) and qvel (..., nv): positions but the first ones, then velocities."""
+    """Observation (..., S) of states qpos (..., nq), qvel (..., nv): positions but the first ones, then velocities."""
     hidden = rules.hidden_positions if rules.exclude_current_positions_from_observation else 0
     velocity = np.clip(qvel, -rules.velocity_limit, rules.velocity_limit)
     return np.concatenate([qpos[..., hidden:], velocity], axis=-1)
@@ -109,9 +109,12 @@ def observe(rules: Rules, qpos: Array, qvel: Array) -> Array:
 def reward(
     rules: Rules, velocity: Array, healthy: NDArray[np.bool_], ctrl: Array, contact_forces: Array | None = None
 ) -> Reward:
-    """Reward of steps that moved the root at `velocity` (..., m/s) and ended `healthy` (...).
+    """Reward of steps.
 
     Args:
+        rules: the robot's numbers.
+        velocity: (...), displacement of the root along x over the step's duration, m/s.
+        healthy: (...), of the new states.
         ctrl: (..., A), the control that reached the actuators.
         contact_forces: (..., nbody, 6), N m and N at the new state (`cfrc_ext`); None where they cost nothing.
     """

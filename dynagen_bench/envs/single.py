@@ -40,7 +40,7 @@ BAD_STATE_WARNINGS = [
 """After one of these MuJoCo resets the simulation by itself, in the middle of an episode."""
 
 
-class RandomDynamics(MujocoEnv):
+class RandomDynamics(MujocoEnv, utils.EzPickle):
     """The part that all robots share; a robot's class puts it before Gymnasium's.
 
     A step is a function of (dynamics, qpos, qvel, action) and of nothing else, bit for bit: the solver's warm start is
@@ -87,7 +87,7 @@ class RandomDynamics(MujocoEnv):
             raise ValueError("give either dynamics= or split= and index=, not both")
         self._own = None if dynamics is None else Dynamics.from_json(dynamics)
         self._split = ids.check_split("train" if split is None else split)
-        self._index = 0 if self._split == "nominal" else index
+        self._index = 0 if self._split == "nominal" and index is None else index
         if self._index is not None:
             ids.check_index(self._split, self._index)
         self.rules = dataclasses.replace(self.default_rules, **{k: kwargs[k] for k in rule_names if k in kwargs})
@@ -95,14 +95,14 @@ class RandomDynamics(MujocoEnv):
 
         base = {key: kwargs[key] for key in RENDER_KEYWORDS if key in kwargs}
         hide = self.rules.exclude_current_positions_from_observation
-        super().__init__(
+        super().__init__(  # type: ignore[call-arg] # the next class is the robot's, which takes these
             frame_skip=self.substeps, exclude_current_positions_from_observation=hide, **self.base_keywords, **base
         )
         # Gymnasium's class has stored its own arguments for pickling: ours replace them
         utils.EzPickle.__init__(self, split=split, index=index, dynamics=dynamics, **kwargs)
 
     def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        # Everything that Gymnasium derives (initial state, spaces, renderer) is made after this, from the changed model.
+        # What Gymnasium derives (initial state, spaces, renderer) is made after this, from the changed model.
         # The framebuffer grows to the asked size, as in Gymnasium's method, which this one replaces.
         model = compile_nominal(self.robot)
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, self.width)
@@ -121,7 +121,7 @@ class RandomDynamics(MujocoEnv):
         """Draw the dynamics where none is fixed, then the noisy initial state; returns the observation (S,)."""
         if self._own is None and self._index is None:
             self._apply_index(self.model, int(self.np_random.integers(ids.SPLIT_SIZES[self._split])))
-        self.set_state(*initial_state(self.rules, self.init_qpos, self.model.nv, self.np_random))
+        self.set_state(*initial_state(self.rules, self.init_qpos, self.model.nv, self.np_random))  # type: ignore[no-untyped-call]
         return self._get_obs()
 
     def _get_obs(self) -> Array:
@@ -130,7 +130,9 @@ class RandomDynamics(MujocoEnv):
     def _get_reset_info(self) -> dict[str, Any]:
         return {**super()._get_reset_info(), "dynamics_index": self.dynamics_index}
 
-    def step(self, action: NDArray[np.floating[Any]]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(  # type: ignore[override] # Gymnasium declares numpy floats in info, and puts arrays there itself
+        self, action: NDArray[np.floating[Any]]
+    ) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Advance one control step.
 
         Args:
@@ -147,7 +149,7 @@ class RandomDynamics(MujocoEnv):
         ctrl = self._control(action)
         stable = self._advance(ctrl)
         if not stable:
-            self.set_state(*before)
+            self.set_state(*before)  # type: ignore[no-untyped-call]
         qpos, qvel = self.data.qpos, self.data.qvel
         velocity = np.asarray((qpos[0] - before[0][0]) / self.dt)
         healthy = self.rules.healthy(self.rules, qpos, qvel)
@@ -164,7 +166,7 @@ class RandomDynamics(MujocoEnv):
         if not stable:
             info["unstable"] = True
         if self.render_mode == "human":
-            self.render()
+            self.render()  # type: ignore[no-untyped-call]
         return self._get_obs(), float(terms.total) if stable else 0.0, bool(terminated), False, info
 
     def _control(self, action: NDArray[np.floating[Any]]) -> Array:

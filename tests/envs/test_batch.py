@@ -1,0 +1,95 @@
+"""Many simulations at once: the bits of single environments, whoever else is in the batch."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils import seeding
+
+from dynagen_bench import ids
+from dynagen_bench.dynamics import load_dynamics
+from dynagen_bench.envs import BatchPhysics
+
+
+def batch_of(robot: str, split: str, size: int, threads: int) -> BatchPhysics:
+    """The first `size` dynamics of a split."""
+    return BatchPhysics(robot, [load_dynamics(robot, split, i) for i in range(size)], threads)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("robot", ids.ROBOTS)
+def test_bits_of_single_environments(robot, threads):
+    batch = batch_of(robot, "test", 5, threads)
+    envs = [gymnasium.make(f"{robot}-RandDyn-test{i}").unwrapped for i in range(5)]
+    rng = np.random.default_rng(threads)
+    rows = np.arange(5)
+    observations = batch.start(rows, [seeding.np_random(int(7 + i))[0] for i in rows])
+    for i in rows:
+        np.testing.assert_array_equal(envs[i].reset(seed=int(7 + i))[0], observations[i])
+    limit = envs[0].action_space.high[0]
+    for _ in range(60):
+        actions = rng.uniform(-1.2 * limit, 1.2 * limit, (len(rows), envs[0].action_space.shape[0])).astype(np.float32)
+        result = batch.step(actions, rows)
+        for j, i in enumerate(rows):
+            observation, reward, terminated, *_ = envs[i].step(actions[j])
+            np.testing.assert_array_equal(observation, result.observations[j])
+            assert (reward, terminated) == (result.rewards[j], result.terminated[j])
+        rows = rows[~result.terminated]
+        if not len(rows):
+            break
+
+
+@pytest.mark.parametrize("robot", ids.ROBOTS)
+def test_a_thousand_random_steps_in_every_dynamics_raise_no_warning(robot):
+    names = list(ids.dynamics_ids(robot))
+    batch = BatchPhysics(robot, [load_dynamics(n.robot, n.split, n.index) for n in names])
+    rngs = [np.random.default_rng(i) for i in range(len(names))]
+    batch.start(np.arange(25), rngs)
+    high = gymnasium.make(names[0].env_id).action_space.high
+    for _ in range(1000):
+        actions = np.stack([rng.uniform(-high, high) for rng in rngs])
+        result = batch.step(actions)
+        assert not result.unstable.any()
+        ended = np.flatnonzero(result.terminated)
+        if len(ended):
+            batch.start(ended, [rngs[i] for i in ended])
+    assert not batch.warnings.any()
+
+
+def test_an_unstable_simulation_touches_no_other(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log where the process stands
+    calm, shaken = (batch_of("Hopper", "test", 3, 2) for _ in range(2))
+    for batch in (calm, shaken):
+        batch.start(np.arange(3), [np.random.default_rng(i) for i in range(3)])
+    shaken.qvel[1, 3] = 1e12
+    before = shaken.qpos[1].copy()
+    actions = np.full((3, 3), 0.3)
+    good, bad = calm.step(actions), shaken.step(actions)
+    assert bad.unstable.tolist() == [False, True, False]
+    assert bad.terminated[1]
+    assert bad.rewards[1] == 0.0
+    np.testing.assert_array_equal(shaken.qpos[1], before)
+    for i in (0, 2):
+        np.testing.assert_array_equal(bad.observations[i], good.observations[i])
+        assert bad.rewards[i] == good.rewards[i]
+    assert shaken.step(actions[:1], np.array([0])).unstable.tolist() == [False]
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        (np.zeros((2, 3)), r"actions have shape \(2, 3\): give \(3, 3\)"),
+        (np.full((3, 3), np.nan), "action 0 is not finite"),
+    ],
+)
+def test_bad_actions_never_reach_the_physics(actions, message):
+    batch = batch_of("Hopper", "test", 3, 1)
+    batch.start(np.arange(3), [np.random.default_rng(0)] * 3)
+    before = batch.qpos.copy()
+    with pytest.raises(ValueError, match=message):
+        batch.step(actions)
+    np.testing.assert_array_equal(batch.qpos, before)
+
+
+def test_no_dynamics_is_refused():
+    with pytest.raises(ValueError, match="needs at least one"):
+        BatchPhysics("Hopper", [])

@@ -1,0 +1,117 @@
+"""Every id of the benchmark makes the environment that it names."""
+
+import pickle
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import dynagen_bench  # noqa: F401, registers the environments
+from dynagen_bench import ids
+from dynagen_bench.dynamics import load_dynamics
+from dynagen_bench.envs import HORIZON, register_environments
+
+SHORT_IDS = [name.env_id for robot in ids.ROBOTS for name in ids.dynamics_ids(robot)]
+ALL_IDS = [*SHORT_IDS, *(ids.v0_env_id(robot) for robot in ids.ROBOTS)]
+
+# Said of Gymnasium's own MuJoCo robots too: their observations have no bounds
+USUAL_WARNINGS = ("observation space minimum value is -infinity", "observation space maximum value is infinity")
+
+
+@pytest.mark.parametrize("env_id", ALL_IDS)
+def test_makes_without_a_warning_and_passes_the_checker(env_id):
+    with warnings.catch_warnings(record=True) as made:
+        warnings.simplefilter("always")
+        env = gymnasium.make(env_id)
+        env.reset(seed=0)
+    assert not made
+    with warnings.catch_warnings(record=True) as checked:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped, skip_render_check=True)
+    assert not [w for w in checked if not any(usual in str(w.message) for usual in USUAL_WARNINGS)]
+
+
+@pytest.mark.parametrize("env_id", ALL_IDS)
+def test_spec_survives_json_and_the_environment_survives_pickle(env_id):
+    env = gymnasium.make(env_id)
+    spec = gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json())
+    copies = [gymnasium.make(spec), pickle.loads(pickle.dumps(env))]  # noqa: S301, our own bytes
+    action = env.action_space.high
+    first, _ = env.reset(seed=5)
+    after = env.step(action)
+    for copy in copies:
+        np.testing.assert_array_equal(copy.reset(seed=5)[0], first)
+        np.testing.assert_array_equal(copy.step(action)[0], after[0])
+
+
+def test_short_id_and_keywords_give_the_same_environment():
+    short, v0 = gymnasium.make("Hopper-RandDyn-test3"), gymnasium.make("Hopper-RandDyn-v0", split="test", index=3)
+    own = gymnasium.make("Hopper-RandDyn-v0", dynamics=load_dynamics("Hopper", "test", 3).to_json())
+    for env in (v0, own):
+        np.testing.assert_array_equal(env.unwrapped.model.body_mass, short.unwrapped.model.body_mass)
+        np.testing.assert_array_equal(env.unwrapped.model.geom_friction, short.unwrapped.model.geom_friction)
+    assert gymnasium.envs.registration.EnvSpec.from_json(own.spec.to_json()).kwargs == own.spec.kwargs
+
+
+def test_module_id_needs_no_import():
+    code = (
+        "import gymnasium, warnings; warnings.simplefilter('error');"
+        "print(gymnasium.make('dynagen_bench:Hopper-RandDyn-test3').spec.max_episode_steps)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(HORIZON)
+    assert not done.stderr
+
+
+def test_registering_twice_changes_nothing():
+    before = dict(gymnasium.registry)
+    register_environments()
+    assert gymnasium.registry == before
+    assert len(ALL_IDS) == 130
+    assert set(ALL_IDS) <= set(before)
+
+
+def test_index_none_draws_from_the_split_at_every_reset_by_the_seed():
+    env = gymnasium.make("Hopper-RandDyn-v0", split="test")
+    drawn = [env.reset(seed=11)[1]["dynamics_index"]] + [env.reset()[1]["dynamics_index"] for _ in range(40)]
+    again = [env.reset(seed=11)[1]["dynamics_index"]] + [env.reset()[1]["dynamics_index"] for _ in range(40)]
+    assert drawn == again
+    assert set(drawn) == {0, 1, 2, 3, 4}
+    expected = gymnasium.make(f"Hopper-RandDyn-test{drawn[-1]}").unwrapped.model.body_mass
+    np.testing.assert_array_equal(env.unwrapped.model.body_mass, expected)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "error", "message"),
+    [
+        ({"split": "valid"}, ValueError, "choose one of train, test, nominal"),
+        ({"split": "test", "index": 5}, ValueError, "whole number from 0 to 4"),
+        ({"split": "test", "dynamics": {}}, ValueError, "either dynamics= or split= and index="),
+        ({"dynamics": {"body_mass": {"wing": 1.0}}}, ValueError, "has no body 'wing': choose from"),
+        ({"gravity": 2.0}, TypeError, "no keyword 'gravity': choose from split, index, dynamics"),
+        ({"xml_file": "x.xml"}, TypeError, "no keyword 'xml_file'"),
+    ],
+)
+def test_bad_keywords_end_in_one_line(keywords, error, message):
+    with pytest.raises(error, match=message):
+        gymnasium.make("Hopper-RandDyn-v0", **keywords)
+
+
+def test_a_wrong_id_suggests_the_near_ones():
+    with pytest.raises(gymnasium.error.NameNotFound, match="Hopper-RandDyn-test"):
+        gymnasium.make("Hopper-RandDyn-test9")
+
+
+def test_keywords_of_gymnasiums_robot_still_work():
+    env = gymnasium.make("Hopper-RandDyn-test3", ctrl_cost_weight=0.5, terminate_when_unhealthy=False)
+    env.reset(seed=0)
+    for _ in range(199):
+        _, _, terminated, truncated, info = env.step(env.action_space.high)
+        assert not terminated
+        assert not truncated
+    assert info["reward_ctrl"] == pytest.approx(-0.5 * 3)
+    assert env.step(env.action_space.high)[3]

@@ -1,0 +1,53 @@
+"""Ids: built and parsed to the same thing, and refused in one line that says what is allowed."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dynagen_bench import ids
+
+
+def test_every_id_parses_back():
+    names = [name for robot in ids.ROBOTS for name in ids.dynamics_ids(robot)]
+    assert len(names) == 125
+    assert len({name.env_id for name in names} | {name.dataset_id for name in names}) == 250
+    for name in names:
+        assert ids.parse_env_id(name.env_id) == name
+        assert ids.parse_dataset_id(name.dataset_id) == name
+        assert ids.parse_label(name.robot, name.label) == name
+
+
+def test_ids_are_the_frozen_ones():
+    name = ids.make_id("Hopper", "test", 3)
+    assert name.env_id == "Hopper-RandDyn-test3"
+    assert name.dataset_id == "dynagen/Hopper-RandDyn/test3-v0"
+    assert ids.v0_env_id("SlimHumanoid") == "SlimHumanoid-RandDyn-v0"
+    assert ids.make_id("Ant", "nominal", 0).label == "nominal"
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: ids.make_id("hoper", "test", 0), "choose one of Walker, Hopper.*did you mean 'Hopper'"),
+        (lambda: ids.make_id("Hopper", "valid", 0), "choose one of train, test, nominal"),
+        (lambda: ids.make_id("Hopper", "test", 5), "whole number from 0 to 4"),
+        (lambda: ids.make_id("Hopper", "train", True), "whole number from 0 to 19"),
+        (lambda: ids.parse_label("Hopper", "test03"), "train0 to train19, test0 to test4, or nominal"),
+        (lambda: ids.parse_env_id("Hopper-RandDyn-v0"), "write it as 'Hopper-RandDyn-test3'"),
+        (lambda: ids.parse_dataset_id("dynagen/Hopper-RandDyn/test3-v1"), "write it as"),
+    ],
+)
+def test_bad_ids_say_what_is_allowed(call, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+@given(st.text(max_size=40))
+def test_parsing_any_text_gives_an_id_or_a_value_error(text):
+    for parse in (ids.parse_env_id, ids.parse_dataset_id, lambda t: ids.parse_label("Ant", t)):
+        try:
+            name = parse(text)
+        except ValueError:
+            continue
+        assert text in (name.env_id, name.dataset_id, name.label)
