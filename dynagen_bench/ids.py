@@ -50,6 +50,15 @@ class DynamicsId:
         """Minari's id of the data of this dynamics, `dynagen/Hopper-RandDyn/test3-v0`."""
         return f"{NAMESPACE}/{self.robot}-RandDyn/{self.label}-v{VERSION}"
 
+    def part_id(self, every: int) -> str:
+        """Minari's id of the part of the data that has every n-th snapshot, `dynagen/Hopper-RandDyn/test3-every4-v0`.
+
+        A part has a name of its own, so that it lies beside the whole and is never taken for it; 1 is the whole.
+        """
+        if every == 1:
+            return self.dataset_id
+        return f"{NAMESPACE}/{self.robot}-RandDyn/{self.label}-every{every}-v{VERSION}"
+
 
 def check_robot(robot: str) -> str:
     """Return `robot`; raise ValueError with the nearest known name if it is not one of `ROBOTS`."""

@@ -1,0 +1,136 @@
+"""One SAC run: its environments are the benchmark's, its stored actors are what it learned, and it can be stopped."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from dynagen_bench import ids
+from dynagen_bench.collection.policies import load_policies, policy_file
+from dynagen_bench.collection.runs import collect, missing_runs
+from dynagen_bench.collection.sac import BatchVecEnv, actor_policy, train_behaviour_policies
+from dynagen_bench.collection.settings import SACSettings
+
+NAME = ids.make_id("Hopper", "test", 3)
+TINY = SACSettings(
+    total_steps=256, snapshot_every=128, environments=16, gradient_steps=2, batch_size=8, learning_starts=32, hidden=8
+)
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory) -> Path:
+    """The file of one tiny run."""
+    return train_behaviour_policies(NAME, TINY, tmp_path_factory.mktemp("first"))
+
+
+def test_same_settings_same_bytes(stored, tmp_path):
+    again = train_behaviour_policies(NAME, TINY, tmp_path)
+    assert again.read_bytes() == stored.read_bytes()
+    header = "step,mean_return,mean_length,seconds"
+    assert again.with_suffix(".csv").read_text().splitlines()[0] == header
+
+
+def test_a_run_stores_its_snapshots_and_what_made_them(stored):
+    snapshots, metadata = load_policies(stored)
+    assert list(snapshots) == [128, 256]
+    assert metadata["dynamics"] == "Hopper-RandDyn-test3"
+    assert '"mujoco": "4.0.0"' in metadata["versions"]
+    assert '"gradient_steps": 2' in metadata["settings"]
+    assert snapshots[128].content_hash() != snapshots[256].content_hash()
+    assert all(w.dtype == np.float16 for w in snapshots[128].weights.values())
+
+
+def test_stored_actor_acts_as_the_trained_one():
+    from sbx import SAC
+
+    model = SAC("MlpPolicy", BatchVecEnv(NAME, 4, np.random.default_rng(0)), policy_kwargs={"net_arch": [64, 64]})
+    observations = np.random.default_rng(1).normal(size=(50, 11))
+    theirs, _ = model.predict(observations.astype(np.float32), deterministic=True)
+    ours = actor_policy(model.policy.actor_state.params).act(observations, np.ones(3), noise=None)
+    np.testing.assert_allclose(ours, theirs, atol=5e-3)  # float16 weights
+
+
+def test_training_environments_are_the_benchmarks():
+    batch = BatchVecEnv(ids.make_id("HalfCheetah", "test", 0), 3, np.random.default_rng(5))
+    single = gymnasium.make("HalfCheetah-RandDyn-test0")
+    single.reset(seed=0)
+    batch.reset()
+    env = single.unwrapped
+    env.set_state(batch._physics.qpos[1].copy(), batch._physics.qvel[1].copy())
+    rng = np.random.default_rng(6)
+    for step in range(200):
+        action = rng.uniform(-1, 1, 6).astype(np.float32)
+        batch.step_async(np.stack([action] * 3))
+        observations, rewards, dones, infos = batch.step_wait()
+        observation, reward, _, truncated, _ = single.step(action)
+        assert rewards[1] == np.float32(reward)
+        assert bool(dones[1]) == truncated == (step == 199)
+        last = infos[1]["terminal_observation"] if truncated else observations[1]
+        np.testing.assert_array_equal(last, observation.astype(np.float32))
+    assert infos[1]["TimeLimit.truncated"]
+    assert infos[1]["episode"]["l"] == 200
+
+
+RUN = """
+from pathlib import Path
+from dynagen_bench import ids
+from dynagen_bench.collection.runs import collect
+from dynagen_bench.collection.settings import SACSettings
+if __name__ == "__main__":
+    names = [ids.make_id("Hopper", "test", i) for i in (0, 1)]
+    settings = SACSettings(total_steps={steps}, snapshot_every=640, environments=64, gradient_steps=1, hidden=8)
+    collect(names, settings, Path({folder!r}), processes=1)
+"""
+
+
+@contextlib.contextmanager
+def background_run(tmp_path: Path, steps: int) -> Iterator[subprocess.Popen[bytes]]:
+    """`collect` in a process group of its own, killed whole (kill -9) when the block ends."""
+    script = tmp_path / "run.py"
+    script.write_text(RUN.format(folder=str(tmp_path / "policies"), steps=steps))
+    run = subprocess.Popen([sys.executable, str(script)], start_new_session=True, stdout=subprocess.DEVNULL)
+    try:
+        yield run
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(run.pid, signal.SIGKILL)
+        run.wait()
+
+
+def test_a_killed_run_leaves_nothing_and_the_next_does_what_is_missing(tmp_path):
+    folder = tmp_path / "policies"
+    names = [ids.make_id("Hopper", "test", i) for i in (0, 1)]
+    with background_run(tmp_path, steps=10**8):
+        time.sleep(8)  # into the run: JAX is loaded and steps are taken
+    assert missing_runs(names, folder) == names
+    assert not list(folder.rglob("*.safetensors"))
+
+    with background_run(tmp_path, steps=1280) as run:
+        assert run.wait(timeout=300) == 0
+    assert missing_runs(names, folder) == []
+    before = [policy_file(name, folder).stat().st_mtime_ns for name in names]
+    collect(names, TINY, folder)  # nothing is missing: nothing runs
+    assert [policy_file(name, folder).stat().st_mtime_ns for name in names] == before
+
+
+def test_missing_policies_say_how_they_are_made(tmp_path):
+    with pytest.raises(FileNotFoundError, match="dynagen collect Hopper test3"):
+        load_policies(policy_file(NAME, tmp_path))
+
+
+def test_another_file_is_refused(tmp_path):
+    import safetensors.numpy
+
+    path = tmp_path / "Hopper" / "test3.safetensors"
+    path.parent.mkdir()
+    safetensors.numpy.save_file({"00000128/hidden0/weight": np.zeros((2, 2), np.float16)}, path)
+    with pytest.raises(ValueError, match="holds no behaviour policies"):
+        load_policies(path)
