@@ -1,5 +1,30 @@
-"""DynaGen Bench: offline dynamics generalization, from drawn bodies to a replayed leaderboard."""
+"""DynaGen Bench: offline dynamics generalization, from drawn bodies to a replayed leaderboard.
 
+Importing it registers the environments. These are the public names; the rest may change between versions.
+"""
+
+from dynagen_bench.datasets import Normalization, OfflineDataset, WindowSampler, load_dataset, reference_scores
+from dynagen_bench.dynamics import Dynamics, draw_dynamics, load_dynamics
 from dynagen_bench.envs import register_environments
+from dynagen_bench.evaluation import Evaluation, Policy, evaluate
+from dynagen_bench.ids import ROBOTS
+
+__all__ = [
+    # bodies
+    "ROBOTS",
+    "Dynamics",
+    "draw_dynamics",
+    "load_dynamics",
+    # data
+    "Normalization",
+    "OfflineDataset",
+    "WindowSampler",
+    "load_dataset",
+    "reference_scores",
+    # scores
+    "Evaluation",
+    "Policy",
+    "evaluate",
+]
 
 register_environments()

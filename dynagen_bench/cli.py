@@ -19,6 +19,8 @@ from dynagen_bench import ids
 from dynagen_bench.collection.policies import POLICY_FOLDER
 from dynagen_bench.collection.runs import collect as collect_runs
 from dynagen_bench.collection.settings import SACSettings
+from dynagen_bench.datasets import commands, load_dataset
+from dynagen_bench.datasets.cards import data_card
 from dynagen_bench.dynamics import PARAMETERS, draw_dynamics, factor_array, load_dynamics, nominal_robot
 
 Robot = Annotated[str, tyro.conf.Positional]
@@ -88,10 +90,62 @@ def collect(
     collect_runs(names, settings, folder, processes)
 
 
+def data_build(
+    robots: Annotated[list[str], tyro.conf.Positional],
+    every: int = 1,
+    write_manifest: tyro.conf.FlagCreatePairsOff[bool] = False,
+    folder: Path = POLICY_FOLDER,
+) -> None:
+    """Make the Minari datasets of robots from their stored behaviour policies, and check their content hashes.
+
+    A build that was stopped continues; what is there and right is kept.
+
+    Args:
+        robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
+        every: take every n-th snapshot alone: a part of the data, under dataset ids of its own.
+        write_manifest: for maintainers: write these hashes and reference scores as the official ones.
+        folder: where the stored policies are.
+    """
+    commands.build(robots, every=every, write_manifest=write_manifest, policies_folder=folder)
+
+
+def data_list() -> None:
+    """Print the benchmark's datasets on this machine, and whether they are the official ones."""
+    commands.list_datasets()
+
+
+def data_verify(robots: Annotated[list[str], tyro.conf.Positional], every: int = 1) -> None:
+    """Read every dataset of robots again and compare its content with the manifest.
+
+    Args:
+        robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
+        every: of the part that has every n-th snapshot alone.
+    """
+    commands.verify(robots, every=every)
+
+
+def data_card_page(robot: Robot, output: Path | None = None) -> None:
+    """Print a page, in Markdown, of what is in the data of a robot, beside the paper's Table 5.
+
+    Args:
+        robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
+        output: write it to this file.
+    """
+    card = data_card(robot, {split: load_dataset(robot, split) for split in ("train", "test")})
+    if output is None:
+        sys.stdout.write(card)
+    else:
+        output.write_text(card, encoding="utf-8")
+
+
 COMMANDS: dict[str, Callable[..., None]] = {
     "dynamics show": dynamics_show,
     "dynamics draw": dynamics_draw,
     "collect": collect,
+    "data build": data_build,
+    "data list": data_list,
+    "data verify": data_verify,
+    "data card": data_card_page,
 }
 """What may follow `dynagen`: one word, or a group's word and one of its commands."""
 

@@ -1,0 +1,162 @@
+"""The evaluation protocol: one policy, some dynamics, a fixed number of episodes in each, all at the same time.
+
+What is here: `evaluate` and the reset seeds it takes. Called by users, training and the demo. It must not know agents:
+a policy is whatever has the methods of `policy.Policy`.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import gymnasium
+import gymnasium.utils.seeding
+import mujoco
+import numpy as np
+import rich.progress
+from numpy.typing import NDArray
+
+from dynagen_bench import ids
+from dynagen_bench.dynamics import load_dynamics
+from dynagen_bench.envs import HORIZON, BatchPhysics
+from dynagen_bench.evaluation.policy import Policy, RewardAware
+from dynagen_bench.evaluation.result import Evaluation
+
+EPISODES: Final = 10
+"""Episodes in each dynamics (paper, section 5.1)."""
+
+SEED: Final = 0
+"""Seed of the official evaluation: every submission starts from the same states."""
+
+
+@functools.cache
+def action_space(robot: str) -> gymnasium.spaces.Box:
+    """The action space of a robot, (A,) float32; raises ValueError for an unknown robot."""
+    with gymnasium.make(ids.v0_env_id(robot)) as environment:
+        space = environment.action_space
+    assert isinstance(space, gymnasium.spaces.Box)
+    return space
+
+
+def reset_seeds(
+    robot: str, split: str, indices: Sequence[int], episodes: int = EPISODES, seed: int = SEED
+) -> NDArray[np.int64]:
+    """Reset seeds (dynamics, episodes), whole numbers of 31 bits; each a function of its own names and `seed` alone.
+
+    Raises:
+        ValueError: an unknown robot, split or index.
+    """
+    names = [ids.make_id(robot, split, index) for index in indices]
+    splits = tuple(ids.SPLIT_SIZES)
+    seeds = np.zeros((len(names), episodes), dtype=np.int64)
+    for row, name in enumerate(names):
+        for episode in range(episodes):
+            key = (ids.ROBOTS.index(robot), splits.index(split), name.index, episode)
+            seeds[row, episode] = np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0] >> 1
+    return seeds
+
+
+def evaluate(
+    policy: Policy,
+    robot: str,
+    split: str = "test",
+    *,
+    indices: Sequence[int] | None = None,
+    episodes: int = EPISODES,
+    seed: int = SEED,
+    progress: bool = False,
+) -> Evaluation:
+    """Let a policy act in dynamics it is not told, and measure its returns.
+
+    Every (dynamics, episode) is one lane of one batch, N = dynamics × episodes, and runs until it terminates or reaches
+    the horizon; a finished lane is not stepped any more. Actions are taken as float32, the environments' action type,
+    and clipped to the actuators' range: an episode has the return that a loop over `gymnasium.make` gives for its seed,
+    also where a step is unstable, which ends it with reward 0.
+
+    Args:
+        policy: see `Policy`; asked with `deterministic=True`. If it has a method `observe` it is told its rewards, see
+            `RewardAware`.
+        robot: one of `ids.ROBOTS`.
+        split: `test` for the official scores; `train` and `nominal` for one's own questions.
+        indices: the dynamics of the split; None takes all of them.
+        episodes: episodes in each dynamics.
+        seed: the start states are a function of it; the official scores are those of the default.
+        progress: show a progress bar.
+
+    Raises:
+        TypeError: the policy has no `predict`.
+        ValueError: an unknown robot, split or index, no episode, or actions of a wrong shape or not finite.
+    """
+    if not isinstance(policy, Policy):
+        raise TypeError(
+            f"{type(policy).__name__} has no method predict(observation, ...): see dynagen_bench.evaluation.Policy"
+        )
+    chosen = _check_indices(robot, split, indices)
+    if episodes < 1:
+        raise ValueError(f"{episodes} episodes asked for: evaluate at least 1 in each dynamics")
+    seeds = reset_seeds(robot, split, chosen, episodes, seed)
+    drawn = [load_dynamics(robot, split, index) for index in chosen]
+    physics = BatchPhysics(robot, [dynamics for dynamics in drawn for _ in range(episodes)])
+    with rich.progress.Progress(disable=not progress) as bar:
+        task = bar.add_task(f"evaluating in {robot} {split}", total=HORIZON)
+        returns, lengths = _run_lanes(policy, physics, seeds.ravel(), lambda: bar.advance(task))
+        bar.update(task, completed=HORIZON)
+    shape = seeds.shape
+    return Evaluation(robot, split, chosen, returns.reshape(shape), lengths.reshape(shape), seeds, mujoco.__version__)
+
+
+def _check_indices(robot: str, split: str, indices: Sequence[int] | None) -> tuple[int, ...]:
+    ids.check_robot(robot)
+    size = ids.SPLIT_SIZES[ids.check_split(split)]
+    chosen = tuple(range(size)) if indices is None else tuple(ids.check_index(split, index) for index in indices)
+    if not chosen or len(set(chosen)) != len(chosen):
+        raise ValueError(f"indices {list(chosen)} name no dynamics or one twice: give each dynamics of the split once")
+    return chosen
+
+
+def _run_lanes(
+    policy: Policy, physics: BatchPhysics, seeds: NDArray[np.int64], advance: Callable[[], None]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Run one episode in each lane; returns (N,) float64 and lengths (N,) int64."""
+    lanes = len(physics)
+    shape = (lanes, *action_space(physics.robot).shape)
+    # a lane's generator is the one that env.reset(seed=...) makes, so that the lane starts in the same state
+    rngs = [gymnasium.utils.seeding.np_random(int(seed))[0] for seed in seeds]
+    observations = physics.start(np.arange(lanes), rngs)
+    returns, lengths = np.zeros(lanes), np.zeros(lanes, dtype=np.int64)
+    running = np.arange(lanes)
+    state, starts = None, np.ones(lanes, dtype=np.bool_)
+    for step in range(HORIZON):
+        # a copy, because a policy may keep or change what it is given
+        actions, state = policy.predict(
+            observations.copy(), state=state, episode_start=starts.copy(), deterministic=True
+        )
+        result = physics.step(_checked_actions(actions, shape, step)[running], running)
+        observations[running] = result.observations
+        rewards = np.zeros(lanes)
+        rewards[running] = result.rewards
+        returns += rewards
+        lengths[running] += 1
+        if isinstance(policy, RewardAware):
+            policy.observe(rewards)
+        starts[:] = False
+        advance()
+        running = running[~result.terminated]
+        if len(running) == 0:
+            break
+    return returns, lengths
+
+
+def _checked_actions(actions: Any, shape: tuple[int, ...], step: int) -> NDArray[np.float32]:
+    """The policy's actions (N, A) as float32, or one line that says what is wrong with them."""
+    given = np.asarray(actions)
+    if given.shape != shape or given.dtype.kind not in "fiu":
+        raise ValueError(
+            f"step {step}: the policy gave actions of shape {given.shape} and type {given.dtype}, "
+            f"it must give numbers of shape {shape}"
+        )
+    with np.errstate(over="ignore"):  # a number too large for float32 becomes infinite and is refused below
+        taken = given.astype(np.float32)
+    if not np.isfinite(taken).all():
+        row = int(np.flatnonzero(~np.isfinite(taken).all(axis=1))[0])
+        raise ValueError(f"step {step}: the policy's action in row {row} is not finite: {given[row]}")
+    return taken

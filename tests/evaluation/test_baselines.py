@@ -1,0 +1,38 @@
+"""Random actions and the data's own returns."""
+
+import numpy as np
+import pytest
+
+from dynagen_bench import ids
+from dynagen_bench.evaluation import Policy, RandomPolicy, RewardAware, action_space, data_returns, evaluate
+
+
+@pytest.mark.parametrize("robot", ids.ROBOTS)
+def test_random_actions_fill_the_action_space(robot):
+    space = action_space(robot)
+    actions, state = RandomPolicy(robot).predict(np.zeros((500, 3)), state="kept")
+    assert state == "kept"
+    assert actions.shape == (500, *space.shape)
+    assert actions.dtype == np.float32
+    assert all(space.contains(action) for action in actions)
+    assert (actions.max(axis=0) > 0.9 * space.high).all()
+    assert (actions.min(axis=0) < 0.9 * space.low).all()
+
+
+def test_the_seed_makes_random_actions_repeatable():
+    first = evaluate(RandomPolicy("Hopper", seed=1), "Hopper", episodes=2)
+    again = evaluate(RandomPolicy("Hopper", seed=1), "Hopper", episodes=2)
+    other = evaluate(RandomPolicy("Hopper", seed=2), "Hopper", episodes=2)
+    np.testing.assert_array_equal(first.returns, again.returns)
+    assert not np.array_equal(first.returns, other.returns)
+    np.testing.assert_array_equal(first.seeds, other.seeds)
+
+
+def test_the_protocols_tell_policies_from_what_is_none():
+    assert isinstance(RandomPolicy("Hopper"), Policy)
+    assert not isinstance(RandomPolicy("Hopper"), RewardAware)
+    assert not isinstance(object(), Policy)
+
+
+def test_data_returns_are_the_test_references(references):
+    assert data_returns("Ant") == {"test0": 50.0, "test1": 51.0, "test2": 52.0, "test3": 53.0, "test4": 54.0}

@@ -1,0 +1,117 @@
+"""The page: every text as it stands and never as markup, and the same bytes each time."""
+
+import re
+from html.parser import HTMLParser
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from markdown_it import MarkdownIt
+
+from leaderboard.entries import Entry
+from leaderboard.markdown import escape, number_text, page, score_text
+from leaderboard.standings import Cell
+from tests.evaluation.samples import submission
+
+HOSTILE = [
+    "<script>alert(1)</script>",
+    "a | b | c",
+    "**bold** _italic_ ~~gone~~ `code`",
+    "[text](https://a.example) ![image](https://a.example/x.png)",
+    "https://a.example www.a.example me@a.example @somebody #1",
+    "&lt;b&gt; &copy; <!-- hidden",
+    "\\| \\\\ \\<b>",
+    "# heading",
+    "- item",
+    "1. item",
+    "--- ===",
+    "$x^2$ :smile: [^1] {#id}",
+]
+
+rendering = MarkdownIt("gfm-like", {"linkify": False, "html": True})
+"""GitHub's Markdown: CommonMark with tables and strike-through, HTML let through."""
+
+
+class Outline(HTMLParser):
+    """Tags, links and text of a rendered page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags, self.links, self.text = set(), [], ""
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        self.links += [value for name, value in attrs if name in {"href", "src"}]
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def outline(markdown):
+    parser = Outline()
+    parser.feed(rendering.render(markdown))
+    parser.close()
+    return parser
+
+
+printable_lines = st.text(st.characters(codec="utf-8"), min_size=1).filter(lambda t: t.isprintable() and t == t.strip())
+
+
+@given(printable_lines | st.lists(st.sampled_from(HOSTILE)).map(" ".join).filter(bool))
+@settings(max_examples=300, deadline=None)
+def test_escaped_text_is_read_as_it_stands(text):
+    found = outline(f"| a | b |\n| --- | --- |\n| {escape(text)} | next |\n")
+    assert found.tags == {"table", "thead", "tbody", "tr", "th", "td"}
+    assert text in found.text
+    assert "next" in found.text
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_hostile_texts_change_nothing_of_the_page(text):
+    harmless = outline(page([Entry("a", submission())]))
+    given_submission = submission(agent=text, authors=[text] * 2, description=text, hardware=text)
+    found = outline(page([Entry("a", given_submission)]))
+    assert found.tags == harmless.tags
+    assert found.links == []
+    assert found.text.count(text) == 8  # agent and two authors in the table and again below, about, hardware
+
+
+def test_links_are_those_given():
+    given_submission = submission(paper="https://arxiv.org/abs/1?a=1&b=2", code="https://github.com/a_b/c*d")
+    assert outline(page([Entry("a", given_submission)])).links == [
+        "https://arxiv.org/abs/1?a=1&b=2",
+        "https://github.com/a_b/c*d",
+    ]
+
+
+def test_numbers():
+    assert score_text(None) == "–"
+    assert score_text(Cell(74.694, 4.216, 5, bold=True)) == "74.69 ± 4.22"
+    assert score_text(Cell(74.694, 4.216, 3, bold=True)) == "74.69 ± 4.22 (3 runs)"
+    assert score_text(Cell(-0.001, None, 1, bold=False)) == "0.00 (1 run)"
+    assert number_text(-12.3456) == "-12.35"
+
+
+def test_the_table_by_hand():
+    entries = [
+        Entry("b", submission({"Hopper": [80.0, 100.0, 120.0], "Ant": [20.0]}, agent="B", privileged="own-history")),
+        Entry("a", submission({"Hopper": [20.0] * 5}, agent="A")),
+    ]
+    text = page(entries)
+    assert "## Zero-shot, last checkpoint (official)" in text
+    table = re.search(r"\| Agent .*?\n\n", text, re.DOTALL)
+    assert table is not None
+    assert table[0].strip().split("\n") == [
+        "| Agent | Authors | Walker | Hopper | HalfCheetah | SlimHumanoid | Ant | Privileged | Label |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| B *(partial)* | A\\. Author | – | **50.00 ± 10.00 (3 runs)** | – | – | **10.00 (1 run)** | own-history "
+        "| self-reported |",
+        "| A *(partial)* | A\\. Author | – | 10.00 ± 0.00 | – | – | – | none | self-reported |",
+        "| *behaviour data* |  | – | 26.00 | 26.00 | 26.00 | 26.00 |  | reference |",
+    ]
+    assert "| Hopper | 100.00 | 78.26 | 61.54 | 48.28 | 37.50 |" in text  # B's mean return 100 in each test dynamics
+    assert page(entries) == text
+
+
+def test_an_empty_board_says_so():
+    assert "There are no entries yet." in page([])

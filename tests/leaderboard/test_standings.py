@@ -1,0 +1,113 @@
+"""Means, deviations, marks and order of the tables, by hand."""
+
+import math
+
+import pytest
+
+from dynagen_bench import ids
+from leaderboard.entries import Entry
+from leaderboard.standings import Cell, data_scores, dynamics_scores, run_scores, standings
+from tests.evaluation.samples import submission, write_references
+
+
+def entry(slug, runs, **fields):
+    return Entry(slug, submission(runs, **fields))
+
+
+def rows(entries):
+    (table,) = standings(entries)
+    return {row.entry.slug: row for row in table.rows}
+
+
+def test_scores_are_computed_from_the_returns():
+    # the scale of the samples is 0 to 200: a score is half the mean return
+    assert run_scores(submission({"Ant": [60.0], "Hopper": [80.0, 100.0]})) == {"Hopper": [40.0, 50.0], "Ant": [30.0]}
+
+
+def test_mean_and_sample_deviation_by_hand():
+    cell = rows([entry("a", {"Hopper": [80.0, 100.0, 120.0]})])["a"].cells["Hopper"]
+    # scores 40, 50, 60: deviations −10, 0, 10, their squares' sum 200 over 3 − 1
+    assert cell == Cell(50.0, 10.0, 3, bold=True)
+    assert rows([entry("a", {"Hopper": [80.0]})])["a"].cells["Hopper"] == Cell(40.0, None, 1, bold=True)
+
+
+def test_bold_is_within_one_deviation_of_the_best():
+    found = rows(
+        [
+            entry("best", {"Hopper": [80.0, 100.0, 120.0], "Ant": [10.0]}),  # 50 ± 10
+            entry("on-the-line", {"Hopper": [80.0]}),  # 40
+            entry("below", {"Hopper": [79.9, 79.9]}),  # 39.95, whatever its own deviation
+            entry("own-deviation", {"Hopper": [0.0, 150.0], "Ant": [10.2]}),  # 37.5 ± 53; best on Ant, with one run
+        ]
+    )
+    assert {slug: row.cells["Hopper"].bold for slug, row in found.items()} == {
+        "best": True,
+        "on-the-line": True,
+        "below": False,
+        "own-deviation": False,
+    }
+    assert not found["best"].cells["Ant"].bold
+    assert found["own-deviation"].cells["Ant"].bold
+
+
+def test_more_robots_then_higher_means_then_slugs_come_first():
+    entries = [
+        entry("low", {"Hopper": [10.0]}),
+        entry("two-robots", {"Hopper": [0.0], "Ant": [0.0]}),
+        entry("b-high", {"Hopper": [90.0]}),
+        entry("a-high", {"Hopper": [90.0]}),
+    ]
+    assert list(rows(entries)) == ["two-robots", "a-high", "b-high", "low"]
+    assert list(rows(entries[::-1])) == ["two-robots", "a-high", "b-high", "low"]
+
+
+def test_tracks_and_checkpoints_are_never_in_one_table():
+    entries = [
+        entry(f"{track}-{checkpoint}", None, track=track, checkpoint=checkpoint)
+        for checkpoint in ("best", "last")
+        for track in ("adaptation", "zero-shot")
+    ]
+    tables = standings(entries)
+    assert [(table.track, table.checkpoint) for table in tables] == [
+        ("zero-shot", "last"),
+        ("zero-shot", "best"),
+        ("adaptation", "last"),
+        ("adaptation", "best"),
+    ]
+    assert [[row.entry.slug for row in table.rows] for table in tables] == [
+        [f"{table.track}-{table.checkpoint}"] for table in tables
+    ]
+    assert standings([]) == []
+
+
+def test_partial_is_what_lacks_a_robot_or_a_run(references):
+    write_references(references)
+    five = [100.0] * 5
+    full = dict.fromkeys(ids.ROBOTS, five)
+    found = rows(
+        [
+            entry("full", full),
+            entry("more", full | {"Ant": [100.0] * 6}),
+            entry("run-missing", full | {"Ant": five[:4]}),
+            entry("robot-missing", {robot: five for robot in ids.ROBOTS if robot != "Ant"}),
+        ]
+    )
+    assert [slug for slug, row in found.items() if row.partial] == ["run-missing", "robot-missing"]
+
+
+def test_each_dynamics_has_its_own_scale():
+    # test i: min 10 i, max 100 + 25 i; mean return over the two runs 100
+    found = dynamics_scores(submission({"Ant": [80.0, 120.0]}))
+    assert found == {"Ant": pytest.approx({f"test{i}": 100 * (100 - 10 * i) / (100 + 15 * i) for i in range(5)})}
+
+
+def test_the_data_themselves_have_scores_where_they_were_made():
+    # the mean of the test dynamics' means is 52, half of it 26
+    scores = data_scores()
+    assert set(scores) == {"Hopper", "HalfCheetah", "SlimHumanoid", "Ant"}
+    assert all(math.isclose(score, 26.0) for score in scores.values())
+
+
+def test_an_entry_on_a_robot_without_reference_scores_is_an_error():
+    with pytest.raises(ValueError, match="no reference scores for Walker"):
+        standings([entry("a", {"Walker": [1.0]})])

@@ -1,0 +1,77 @@
+"""The `dynagen` command: what it prints, and how it answers a mistake."""
+
+import json
+
+import gymnasium
+import pytest
+
+from dynagen_bench import ids
+from dynagen_bench.cli import COMMANDS, main
+from dynagen_bench.collection.policies import policy_file
+
+
+def run(capsys, *words: str) -> str:
+    """What the command prints."""
+    main(words)
+    return str(capsys.readouterr().out)
+
+
+def test_show_prints_factors_with_units(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    shown = run(capsys, "dynamics", "show", "Hopper", "test3")
+    row = next(line for line in shown.splitlines() if "body_mass" in line and "torso" in line)
+    cells = [cell.strip() for cell in row.strip("│ ").split("│")]
+    assert cells[:2] == ["body_mass", "torso"]
+    nominal, factor, value = map(float, cells[2:5])
+    assert value == pytest.approx(nominal * factor, rel=1e-3)
+    assert cells[5] == "kg"
+    assert "rootx" not in shown  # its damping is 0 whatever is drawn
+
+
+def test_draw_prints_what_gymnasium_takes(capsys):
+    first = run(capsys, "dynamics", "draw", "Walker", "--seed", "7", "--count", "2")
+    assert first == run(capsys, "dynamics", "draw", "Walker", "--seed", "7", "--count", "2")
+    drawn = [json.loads(line) for line in first.splitlines()]
+    assert len(drawn) == 2
+    assert drawn[0] != drawn[1]
+    gymnasium.make("Walker-RandDyn-v0", dynamics=drawn[0]).reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("dynamics", "show", "Hoper", "test3"), "did you mean 'Hopper'"),
+        (("dynamics", "show", "Hopper", "test9"), "whole number from 0 to 4"),
+        (("dynamics", "draw", "Bopper", "--seed", "1"), "choose one of Walker, Hopper"),
+        (("collect", "Hopper", "test"), "train0 to train19"),
+        (("data", "build", "Hoper"), "did you mean 'Hopper'"),
+        (("data", "verify", "Hopper", "--every", "7"), "dynagen data build Hopper --every 7"),
+    ],
+)
+def test_a_mistake_ends_in_one_line(capsys, words, message):
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert said[0].startswith("dynagen: ")
+    assert message in said[0]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(capsys, command):
+    with pytest.raises(SystemExit) as ended:
+        main([*command.split(), "--help"])
+    assert ended.value.code == 0
+    said = capsys.readouterr().out
+    assert f"usage: dynagen {command}" in said
+    assert len(said) > 200
+
+
+def test_collect_runs_nothing_where_nothing_is_missing(capsys, tmp_path):
+    for name in ids.dynamics_ids("Ant"):
+        path = policy_file(name, tmp_path)
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    run(capsys, "collect", "Ant", "--folder", str(tmp_path))
+    assert all(policy_file(name, tmp_path).stat().st_size == 0 for name in ids.dynamics_ids("Ant"))
