@@ -22,6 +22,8 @@ from dynagen_bench.collection.settings import SACSettings
 from dynagen_bench.datasets import commands, load_dataset
 from dynagen_bench.datasets.cards import data_card
 from dynagen_bench.dynamics import PARAMETERS, draw_dynamics, factor_array, load_dynamics, nominal_robot
+from dynagen_bench.evaluation.baselines import random_submission
+from dynagen_bench.evaluation.submission import write_submission
 
 Robot = Annotated[str, tyro.conf.Positional]
 
@@ -138,10 +140,21 @@ def data_card_page(robot: Robot, output: Path | None = None) -> None:
         output.write_text(card, encoding="utf-8")
 
 
+def baseline(robot: Robot, output: Path) -> None:
+    """Evaluate the random policy in a robot's test dynamics, five seeds, and write it as a submission.
+
+    Args:
+        robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
+        output: the folder of the submission.
+    """
+    write_submission(output, random_submission(ids.check_robot(robot)))
+
+
 COMMANDS: dict[str, Callable[..., None]] = {
     "dynamics show": dynamics_show,
     "dynamics draw": dynamics_draw,
     "collect": collect,
+    "baseline": baseline,
     "data build": data_build,
     "data list": data_list,
     "data verify": data_verify,

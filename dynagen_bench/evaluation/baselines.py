@@ -1,8 +1,11 @@
 """What every score is to be read against: random actions, and the data itself.
 
-What is here: `RandomPolicy` and `data_returns`. Called by the demo and the leaderboard. It must not know agents.
+What is here: `RandomPolicy`, its submission, and `data_returns`. Called by the command line and the leaderboard. It must
+not know agents.
 """
 
+from collections.abc import Sequence
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -10,7 +13,9 @@ from numpy.typing import NDArray
 
 from dynagen_bench import ids
 from dynagen_bench.datasets.scores import reference_scores
-from dynagen_bench.evaluation.rollout import action_space
+from dynagen_bench.evaluation.result import EpisodeRecord
+from dynagen_bench.evaluation.rollout import action_space, evaluate
+from dynagen_bench.evaluation.submission import Run, Submission
 
 
 class RandomPolicy:
@@ -35,6 +40,32 @@ class RandomPolicy:
         """Draw actions (N, A) float32; `state` is given back as it came."""
         shape = (len(observation), len(self._low))
         return self._rng.uniform(self._low, self._high, shape).astype(np.float32), state
+
+
+def random_submission(robot: str, seeds: Sequence[int] = range(5)) -> Submission:
+    """Evaluate the random policy of each seed in the test dynamics, as an entry for the leaderboard."""
+    runs = [
+        Run(
+            robot=robot,
+            seed=seed,
+            gradient_steps=0,
+            evaluation=EpisodeRecord.from_evaluation(evaluate(RandomPolicy(robot, seed), robot)),
+        )
+        for seed in seeds
+    ]
+    return Submission(
+        format_version=1,
+        agent="Random policy",
+        authors=["DynaGen Bench"],
+        description="Actions drawn uniformly from the action space, whatever is observed.",
+        track="zero-shot",
+        checkpoint="last",
+        privileged="none",
+        hardware="any",
+        hours=0.0,
+        versions={package: version(package) for package in ("dynagen-bench", "mujoco", "gymnasium", "numpy")},
+        runs=runs,
+    )
 
 
 def data_returns(robot: str) -> dict[str, float]:

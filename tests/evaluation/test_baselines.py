@@ -5,6 +5,8 @@ import pytest
 
 from dynagen_bench import ids
 from dynagen_bench.evaluation import Policy, RandomPolicy, RewardAware, action_space, data_returns, evaluate
+from dynagen_bench.evaluation.baselines import random_submission
+from dynagen_bench.evaluation.submission import read_submission, write_submission
 
 
 @pytest.mark.parametrize("robot", ids.ROBOTS)
@@ -36,3 +38,12 @@ def test_the_protocols_tell_policies_from_what_is_none():
 
 def test_data_returns_are_the_test_references(references):
     assert data_returns("Ant") == {"test0": 50.0, "test1": 51.0, "test2": 52.0, "test3": 53.0, "test4": 54.0}
+
+
+def test_random_policy_is_submitted_as_an_entry_like_any_other(tmp_path):
+    submission = random_submission("Hopper", seeds=(3, 4))
+    assert [run.seed for run in submission.runs] == [3, 4]
+    assert submission.runs[0].evaluation != submission.runs[1].evaluation
+    assert random_submission("Hopper", seeds=(3, 4)) == submission
+    write_submission(tmp_path, submission)
+    assert read_submission(tmp_path) == submission
