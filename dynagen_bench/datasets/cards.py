@@ -98,7 +98,8 @@ def data_card(robot: str, splits: dict[str, OfflineDataset]) -> str:
 
 
 def _returns(dataset: OfflineDataset, index: int) -> NDArray[np.float64]:
-    return dataset.episode_returns[dataset.episode_dynamics == index]
+    returns: NDArray[np.float64] = dataset.episode_returns[dataset.episode_dynamics == index]
+    return returns
 
 
 def _table(header: list[str], rows: list[list[str]]) -> list[str]:

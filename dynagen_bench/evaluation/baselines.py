@@ -1,7 +1,7 @@
 """What every score is to be read against: random actions, and the data itself.
 
-What is here: `RandomPolicy`, its submission, and `data_returns`. Called by the command line and the leaderboard. It must
-not know agents.
+What is here: `RandomPolicy`, its submission, and `data_returns`. Called by the command line and the leaderboard. It
+must not know agents.
 """
 
 from collections.abc import Sequence

@@ -1,0 +1,102 @@
+"""What a dataset of the benchmark holds: its episodes, what it says of itself, and the hash it is known by.
+
+What is here: reading a Minari dataset back, and the content hash. Called by the build, by the flat arrays and by
+`dynagen data`. It must not know how data are made, nor the manifest.
+
+A dataset lies in Minari's own root (`MINARI_DATASETS_PATH`). Its metadata has, beside Minari's fields, one of ours:
+
+    "dynagen": {"recipe": what the data are a function of, "sha256": what came out, "episodes", "steps", "returns"}
+
+Each episode has `seed` (Minari's own field), `snapshot`, `policy_sha256` and `dynamics`.
+"""
+
+import dataclasses
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from minari.dataset.minari_storage import MinariStorage
+from minari.storage.datasets_root_dir import get_dataset_path
+
+from dynagen_bench.collection.episodes import Episode
+
+
+@dataclasses.dataclass(frozen=True)
+class DatasetRecord:
+    """What a dataset says of itself.
+
+    Attributes:
+        recipe: what the data are a function of: dynamics, policies, seeds and MuJoCo.
+        sha256: `content_hash` of its episodes.
+        episodes: number of episodes.
+        steps: number of actions.
+        returns: `min`, `max` and `mean` of the episodes' returns.
+    """
+
+    recipe: Mapping[str, Any]
+    sha256: str
+    episodes: int
+    steps: int
+    returns: Mapping[str, float]
+
+    @property
+    def mujoco(self) -> str:
+        """The version of MuJoCo that the episodes ran on."""
+        return str(self.recipe["mujoco"])
+
+
+def dataset_folder(dataset_id: str) -> Path:
+    """Where Minari keeps a dataset on this machine, whether it is there or not."""
+    return Path(get_dataset_path(dataset_id))
+
+
+def add_to_hash(digest: "hashlib._Hash", episode: Episode) -> None:
+    """Add an episode to a SHA-256: where it is from, then each array's shape and little-endian bytes."""
+    digest.update(f"{episode.seed} {episode.snapshot} {episode.policy_hash} {episode.terminated}".encode())
+    for array, dtype in ((episode.observations, "<f8"), (episode.actions, "<f4"), (episode.rewards, "<f8")):
+        digest.update(str(array.shape).encode() + np.ascontiguousarray(array, dtype=dtype).tobytes())
+
+
+def content_hash(episodes: Iterable[Episode]) -> str:
+    """SHA-256 of episodes in their order, hexadecimal; of the numbers, and not of a file, which has times in it."""
+    digest = hashlib.sha256()
+    for episode in episodes:
+        add_to_hash(digest, episode)
+    return digest.hexdigest()
+
+
+def read_record(folder: Path) -> DatasetRecord:
+    """What the dataset in a folder says of itself.
+
+    Raises:
+        FileNotFoundError: there is no dataset.
+        ValueError: it is none of ours.
+    """
+    if not (folder / "data").is_dir():
+        raise FileNotFoundError(f"no dataset at {folder}")
+    try:
+        metadata = MinariStorage.read_raw_metadata(folder / "data")
+        return DatasetRecord(**metadata["dynagen"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{folder} holds no dataset of this benchmark ({error!r}): remove it and build again"
+        ) from error
+
+
+def read_episodes(folder: Path) -> Iterator[Episode]:
+    """Yield the episodes of the dataset in a folder, in order, as they were collected."""
+    storage = MinariStorage.read(folder / "data")
+    numbers = range(storage.total_episodes)
+    metadata = storage.get_episode_metadata(numbers)
+    for episode, about in zip(storage.get_episodes(numbers), metadata, strict=True):
+        yield Episode(
+            seed=int(about["seed"]),
+            snapshot=int(about["snapshot"]),
+            policy_hash=str(about["policy_sha256"]),
+            observations=episode["observations"],
+            actions=episode["actions"],
+            rewards=episode["rewards"],
+            terminated=bool(episode["terminations"][-1]),
+        )

@@ -1,0 +1,157 @@
+"""Episodes of stored behaviour policies: a pure function of (dynamics, policy, seed).
+
+What is here: `Episode`, its seeds, and the rollouts, many at once. Called by the Minari files and by whoever wants an
+episode again. It must not know files, formats or what the episodes are for.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import numpy as np
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from dynagen_bench import ids
+from dynagen_bench.collection.policies import BehaviourPolicy
+from dynagen_bench.dynamics import compile_nominal, load_dynamics
+from dynagen_bench.envs import HORIZON, BatchPhysics
+
+EPISODES_PER_SNAPSHOT: Final = 50
+"""Random rollouts of each stored policy (paper, appendix B)."""
+
+SEED: Final = 20221128
+"""Entropy of v0's reset seeds."""
+
+_ACTION_NOISE: Final = (1,)
+"""Spawn key of the action noise below a reset seed; the reset itself has no key, as in Gymnasium."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Episode:
+    """One episode of T steps, and where it is from.
+
+    Attributes:
+        seed: reset seed; `env.reset(seed=seed)` and then `actions` give the episode again, bit for bit.
+        snapshot: environment steps after which its policy was stored.
+        policy_hash: SHA-256 of that policy (`BehaviourPolicy.content_hash`).
+        observations: (T + 1, S) float64, the last one after the last action.
+        actions: (T, A) float32, multiples of 2^-12; what was stepped.
+        rewards: (T,) float64.
+        terminated: the last state ended the episode by itself.
+    """
+
+    seed: int
+    snapshot: int
+    policy_hash: str
+    observations: NDArray[np.float64]
+    actions: NDArray[np.float32]
+    rewards: NDArray[np.float64]
+    terminated: bool
+
+    def __len__(self) -> int:
+        """Number of actions T."""
+        return len(self.actions)
+
+    @property
+    def truncated(self) -> bool:
+        """The horizon is reached; as with Gymnasium's TimeLimit, an episode that terminates there is both."""
+        return len(self) == HORIZON
+
+    @property
+    def total_reward(self) -> float:
+        """The undiscounted return."""
+        return float(self.rewards.sum())
+
+
+def reset_seed(name: ids.DynamicsId, snapshot: int, episode: int) -> int:
+    """The 31-bit reset seed of an episode of the data; depends on nothing but its arguments."""
+    split = tuple(ids.SPLIT_SIZES).index(name.split)
+    key = (ids.ROBOTS.index(name.robot), split, name.index, snapshot, episode)
+    return int(np.random.SeedSequence(SEED, spawn_key=key).generate_state(1)[0] >> 1)
+
+
+def action_noise(seed: int, action_size: int) -> NDArray[np.float64]:
+    """The action noise of a whole episode, (HORIZON, A) standard normal, from its reset seed.
+
+    Drawn at once and for each episode alone, so that an episode does not depend on the batch it ran in.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_ACTION_NOISE))
+    return rng.standard_normal((HORIZON, action_size))
+
+
+def collect_episodes(
+    name: ids.DynamicsId,
+    snapshots: Mapping[int, BehaviourPolicy],
+    episodes_per_snapshot: int = EPISODES_PER_SNAPSHOT,
+    threads: int = 0,
+) -> Iterator[Episode]:
+    """Yield the stochastic episodes of each snapshot, snapshots in the order given, episodes in order.
+
+    Args:
+        name: the dynamics they run in.
+        snapshots: environment steps after which it was stored → policy.
+        episodes_per_snapshot: this many simulations are stepped at once.
+        threads: physics threads, 0 for all processors; the episodes are the same at any number.
+
+    Raises:
+        ValueError: fewer than one episode a snapshot.
+        RuntimeError: MuJoCo reported a bad state; the message has what is needed to see it again. Such an episode is
+            never stored.
+    """
+    if episodes_per_snapshot < 1:
+        raise ValueError(f"episodes_per_snapshot is {episodes_per_snapshot}: give a whole number from 1 on")
+    dynamics = load_dynamics(name.robot, name.split, name.index)
+    physics = BatchPhysics(name.robot, [dynamics] * episodes_per_snapshot, threads)
+    for snapshot, policy in snapshots.items():
+        seeds = [reset_seed(name, snapshot, episode) for episode in range(episodes_per_snapshot)]
+        yield from roll_out(physics, policy, snapshot, seeds)
+
+
+def roll_out(physics: BatchPhysics, policy: BehaviourPolicy, snapshot: int, seeds: list[int]) -> list[Episode]:
+    """Run one episode a seed, simulation i of `physics` from seed i, and return them in order.
+
+    Raises:
+        RuntimeError: as `collect_episodes`.
+    """
+    limit: NDArray[np.float64] = compile_nominal(physics.robot).actuator_ctrlrange[:, 1]
+    noise = np.stack([action_noise(seed, len(limit)) for seed in seeds])  # (N, T, A)
+    running = np.arange(len(seeds))
+    first = physics.start(running, [seeding.np_random(seed)[0] for seed in seeds])  # (N, S)
+
+    observations = np.zeros((len(seeds), HORIZON + 1, first.shape[1]))
+    actions = np.zeros((len(seeds), HORIZON, len(limit)), dtype=np.float32)
+    rewards = np.zeros((len(seeds), HORIZON))
+    lengths = np.zeros(len(seeds), dtype=np.int64)
+    terminated = np.zeros(len(seeds), dtype=np.bool_)
+    observations[:, 0] = first
+    for t in range(HORIZON):
+        actions[running, t] = policy.act(observations[running, t], limit, noise[running, t])
+        result = physics.step(actions[running, t], running)
+        if result.unstable.any():
+            seed = seeds[int(running[result.unstable][0])]
+            raise RuntimeError(
+                f"{physics.robot}: MuJoCo reports a bad state at step {t} of the episode of reset seed {seed}, "
+                f"snapshot {snapshot}: the dataset is not written"
+            )
+        observations[running, t + 1] = result.observations
+        rewards[running, t] = result.rewards
+        lengths[running] = t + 1
+        terminated[running] = result.terminated
+        running = running[~result.terminated]
+        if len(running) == 0:
+            break
+
+    policy_hash = policy.content_hash()
+    return [
+        Episode(
+            seed=seed,
+            snapshot=snapshot,
+            policy_hash=policy_hash,
+            observations=observations[i, : length + 1].copy(),
+            actions=actions[i, :length].copy(),
+            rewards=rewards[i, :length].copy(),
+            terminated=bool(terminated[i]),
+        )
+        for i, (seed, length) in enumerate(zip(seeds, lengths.tolist(), strict=True))
+    ]

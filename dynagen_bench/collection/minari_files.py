@@ -1,0 +1,222 @@
+"""The data of one dynamics as a Minari dataset, made from stored policies: whole, or not at all.
+
+What is here: `build_dataset`. Called by `dynagen data build`. It must not know the manifest, windows or agents; what a
+dataset holds is in `contents`.
+"""
+
+import dataclasses
+import hashlib
+import itertools
+import json
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import gymnasium
+import numpy as np
+from minari.data_collector import EpisodeBuffer
+from minari.dataset.minari_storage import MinariStorage
+from minari.namespace import NAMESPACE_METADATA_FILENAME, create_namespace, get_namespace_metadata
+
+from dynagen_bench import ids
+from dynagen_bench.collection.contents import (
+    DatasetRecord,
+    add_to_hash,
+    content_hash,
+    dataset_folder,
+    read_episodes,
+    read_record,
+)
+from dynagen_bench.collection.episodes import EPISODES_PER_SNAPSHOT, SEED, Episode, collect_episodes
+from dynagen_bench.collection.policies import POLICY_FOLDER, BehaviourPolicy, load_policies, policy_file
+from dynagen_bench.collection.whole_folder import exclusively, whole_folder
+from dynagen_bench.dynamics import load_dynamics
+from dynagen_bench.envs import HORIZON
+
+AUTHOR: Final = "DynaGen Bench contributors"
+
+Progress = Callable[[int, int], None]
+"""Called as `progress(episodes done, episodes in all)`."""
+
+_Item = TypeVar("_Item")
+
+
+def every_nth(snapshots: Mapping[int, BehaviourPolicy], every: int) -> dict[int, BehaviourPolicy]:
+    """Each n-th snapshot: of twenty, `every=4` takes those at 200K, 400K, ..., 1M steps.
+
+    Raises:
+        ValueError: `every` is not a whole number from 1 to the number of snapshots.
+    """
+    if isinstance(every, bool) or not isinstance(every, int) or not 1 <= every <= len(snapshots):
+        raise ValueError(f"every is {every!r}: give a whole number from 1 to {len(snapshots)}, the number of snapshots")
+    return dict(list(snapshots.items())[every - 1 :: every])
+
+
+def build_dataset(
+    name: ids.DynamicsId,
+    *,
+    policies_folder: Path = POLICY_FOLDER,
+    episodes_per_snapshot: int = EPISODES_PER_SNAPSHOT,
+    every: int = 1,
+    expected_sha256: str | None = None,
+    reference: tuple[float, float] | None = None,
+    progress: Progress = lambda done, total: None,
+) -> DatasetRecord:
+    """Make the Minari dataset of one dynamics, `name.part_id(every)`, or keep the one there is.
+
+    One is kept if its episodes have the hash it records, and that is the expected one; where none is expected, its
+    recipe must be today's. A build killed at any moment leaves what was there before; the next one begins that dataset
+    again.
+
+    Args:
+        name: the dynamics.
+        policies_folder: where the stored policies are, `{robot}/{label}.safetensors`.
+        episodes_per_snapshot: the official data have 50.
+        every: take every n-th snapshot alone.
+        expected_sha256: the official content hash, if one is known.
+        reference: min and max return for Minari's `ref_min_score` and `ref_max_score`; None takes the dataset's own.
+        progress: called with each episode.
+
+    Raises:
+        FileNotFoundError: there are no policies.
+        ValueError: the policies are of another dynamics, or `every` or `episodes_per_snapshot` make no sense.
+        RuntimeError: an episode was unstable.
+    """
+    path = policy_file(name, policies_folder)
+    snapshots, policy_metadata = load_policies(path)
+    if policy_metadata.get("dynamics") != name.env_id:
+        found = policy_metadata.get("dynamics", "no dynamics named")
+        raise ValueError(f"{path} holds policies of {found}, not of {name.env_id}: restore it from the repository")
+    chosen = every_nth(snapshots, every)
+    recipe = _recipe(name, chosen, episodes_per_snapshot, every)
+    total = len(chosen) * episodes_per_snapshot
+    folder = dataset_folder(name.part_id(every))
+    with exclusively(folder):
+        kept = _intact_record(folder, recipe, expected_sha256)
+        if kept is None:
+            _ensure_namespace(name.robot)
+            episodes = _counted(collect_episodes(name, chosen, episodes_per_snapshot), total, progress)
+            with whole_folder(folder) as unfinished:
+                kept = _write(unfinished, name, recipe, episodes, reference)
+    progress(total, total)
+    return kept
+
+
+def _recipe(
+    name: ids.DynamicsId, snapshots: Mapping[int, BehaviourPolicy], episodes_per_snapshot: int, every: int
+) -> dict[str, Any]:
+    factors = json.dumps(load_dynamics(name.robot, name.split, name.index).to_json(), sort_keys=True)
+    return {
+        "dynamics": name.env_id,
+        "dynamics_sha256": hashlib.sha256(factors.encode()).hexdigest(),
+        "every": every,
+        "policies": {str(snapshot): policy.content_hash() for snapshot, policy in snapshots.items()},
+        "episodes_per_snapshot": episodes_per_snapshot,
+        "seed": SEED,
+        "mujoco": version("mujoco"),
+    }
+
+
+def _counted(items: Iterator[_Item], total: int, progress: Progress) -> Iterator[_Item]:
+    for done, item in enumerate(items):
+        progress(done, total)
+        yield item
+
+
+def _intact_record(folder: Path, recipe: Mapping[str, Any], expected_sha256: str | None) -> DatasetRecord | None:
+    """The record of a finished dataset that need not be made again, or None."""
+    try:
+        record = read_record(folder)
+        right = record.recipe == recipe if expected_sha256 is None else record.sha256 == expected_sha256
+        if not right:
+            return None
+        return record if content_hash(read_episodes(folder)) == record.sha256 else None
+    except (OSError, ValueError, KeyError):
+        return None  # not there, or damaged: whatever is wrong with it, it is made again
+
+
+def _ensure_namespace(robot: str) -> None:
+    namespace = f"{ids.NAMESPACE}/{robot}-RandDyn"
+    with exclusively(dataset_folder(namespace)):
+        try:
+            get_namespace_metadata(namespace)
+        except ValueError:  # none, or one that was killed while it was written
+            (dataset_folder(namespace) / NAMESPACE_METADATA_FILENAME).unlink(missing_ok=True)
+            create_namespace(namespace, f"{robot}: logged data of 20 train and 5 test dynamics.")
+
+
+def _write(
+    folder: Path,
+    name: ids.DynamicsId,
+    recipe: Mapping[str, Any],
+    episodes: Iterator[Episode],
+    reference: tuple[float, float] | None,
+) -> DatasetRecord:
+    env = gymnasium.make(name.env_id)
+    assert env.spec is not None, "an environment made by its id has a spec"
+    (folder / "data").mkdir()
+    storage = MinariStorage.new(
+        folder / "data",
+        observation_space=env.observation_space,
+        action_space=env.action_space,
+        env_spec=env.spec,
+        data_format="hdf5",
+    )
+    storage.update_metadata(_metadata(name, recipe, env.spec.to_json()))
+    env.close()
+
+    digest, lengths, returns = hashlib.sha256(), list[int](), list[float]()
+    while batch := list(itertools.islice(episodes, int(recipe["episodes_per_snapshot"]))):
+        storage.update_episodes([_buffer(episode) for episode in batch])
+        metadata = [{"snapshot": e.snapshot, "policy_sha256": e.policy_hash, "dynamics": name.env_id} for e in batch]
+        storage.update_episode_metadata(metadata, range(len(lengths), len(lengths) + len(batch)))
+        for episode in batch:
+            add_to_hash(digest, episode)
+            lengths.append(len(episode))
+            returns.append(episode.total_reward)
+
+    low, high = reference or (min(returns), max(returns))
+    summary = {"min": min(returns), "max": max(returns), "mean": float(np.mean(returns))}
+    record = DatasetRecord(recipe, digest.hexdigest(), len(lengths), sum(lengths), summary)
+    storage.update_metadata({"dynagen": dataclasses.asdict(record), "ref_min_score": low, "ref_max_score": high})
+    return record
+
+
+def _metadata(name: ids.DynamicsId, recipe: Mapping[str, Any], env_spec: str) -> dict[str, Any]:
+    """Minari's own fields of a dataset."""
+    every = int(recipe["every"])
+    part = "" if every == 1 else f" This is a part, one snapshot in {every}, for quick runs and not for scores."
+    major, minor, *_ = version("gymnasium").split(".")
+    return {
+        "dataset_id": name.part_id(every),
+        "eval_env_spec": env_spec,
+        "algorithm_name": "SAC",
+        "author": {AUTHOR},
+        "minari_version": version("minari"),
+        "requirements": [
+            f"dynagen-bench=={version('dynagen-bench')}",
+            f"mujoco=={version('mujoco')}",
+            f"gymnasium~={major}.{minor}.0",
+        ],
+        "description": (
+            f"{name.robot} with the dynamics {name.label} of DynaGen Bench: {recipe['episodes_per_snapshot']} "
+            f"stochastic episodes of each of {len(recipe['policies'])} snapshots of one SAC run, horizon {HORIZON}."
+            f"{part} Every episode's metadata has its reset seed, its snapshot (environment steps) and the SHA-256 of "
+            "its policy; seed and actions replay it bit for bit."
+        ),
+    }
+
+
+def _buffer(episode: Episode) -> EpisodeBuffer:
+    terminations = np.zeros(len(episode), dtype=np.bool_)
+    truncations = terminations.copy()
+    terminations[-1], truncations[-1] = episode.terminated, episode.truncated
+    return EpisodeBuffer(
+        seed=episode.seed,
+        observations=episode.observations,
+        actions=episode.actions,
+        rewards=episode.rewards,
+        terminations=terminations,
+        truncations=truncations,
+    )

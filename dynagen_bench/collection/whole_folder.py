@@ -1,0 +1,48 @@
+"""Folders that appear whole or not at all, whenever a process is killed.
+
+What is here: the right to make a folder, and making it. Called by the Minari files and by the flat arrays. It must not
+know what is in the folder.
+
+Beside a folder `name` there may be, hidden so that no listing of datasets sees them:
+
+    .name.lock        held (flock) by the process that makes or checks it; the kernel lets go when that process dies
+    .name.unfinished  what is being written; thrown away by whoever makes the folder next
+    .name.replaced    the one before, for a moment
+"""
+
+import contextlib
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+
+@contextlib.contextmanager
+def exclusively(folder: Path) -> Iterator[None]:
+    """Be the only process that makes or checks `folder`; waits until no other one does."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with (folder.parent / f".{folder.name}.lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+@contextlib.contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """Yield an empty folder to fill; when the block ends well it becomes `folder`, in place of the one there was.
+
+    The caller holds `exclusively(folder)`. After an error nothing is left, and `folder` is what it was.
+    """
+    unfinished, replaced = (folder.with_name(f".{folder.name}.{state}") for state in ("unfinished", "replaced"))
+    for leftover in (unfinished, replaced):
+        shutil.rmtree(leftover, ignore_errors=True)
+    unfinished.mkdir(parents=True)
+    try:
+        yield unfinished
+    except BaseException:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        raise
+    if folder.exists():
+        os.replace(folder, replaced)
+    os.replace(unfinished, folder)
+    shutil.rmtree(replaced, ignore_errors=True)

@@ -1,0 +1,147 @@
+"""The cache of flat arrays: written once from Minari datasets, memory-mapped ever after.
+
+What is here: the files of `OfflineDataset`'s arrays, one `.npy` an array, in a folder whose name tells what it was made
+from. Called by `load_dataset`. It must not know robots, splits or what is done with the arrays.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import platformdirs
+import rich.console
+import rich.progress
+from numpy.lib.format import open_memmap
+from numpy.typing import NDArray
+
+from dynagen_bench.collection.contents import DatasetRecord, add_to_hash, read_episodes
+from dynagen_bench.collection.episodes import Episode
+from dynagen_bench.collection.whole_folder import exclusively, whole_folder
+
+LAYOUT_VERSION: Final = 1
+"""Counts the changes of `OfflineDataset`'s layout: each has folders of its own."""
+
+ROW_ARRAYS: Final = ("observations", "actions", "rewards", "returns_to_go")
+"""Arrays of a row a step, memory-mapped; the others are of an episode each and small."""
+
+Arrays = dict[str, NDArray[Any]]
+
+
+class Source(NamedTuple):
+    """One Minari dataset that arrays are made from."""
+
+    dynamics: int
+    """Index of its dynamics in the split."""
+    folder: Path
+    record: DatasetRecord
+
+
+def cache_folder() -> Path:
+    """Where flat arrays are kept: `DYNAGEN_CACHE`, or the platform's cache folder. It may be emptied at any time."""
+    return Path(os.environ.get("DYNAGEN_CACHE") or platformdirs.user_cache_dir("dynagen-bench"))
+
+
+def map_arrays(label: str, sources: Sequence[Source], progress: bool) -> Arrays:
+    """The arrays of `OfflineDataset` by name, made first if they are not there.
+
+    Args:
+        label: how the folder's name begins, for a reader of the cache.
+        sources: the Minari datasets, in order.
+        progress: show a progress bar on the error stream while arrays are made.
+
+    Raises:
+        ValueError: a dataset's episodes are not those that it records.
+    """
+    folder = cache_folder() / f"flat-v{LAYOUT_VERSION}" / f"{label}-{_key(sources)}"
+    if not folder.is_dir():
+        with exclusively(folder):
+            if not folder.is_dir():  # another process may have made it while this one waited
+                with whole_folder(folder) as unfinished:
+                    _write_arrays(unfinished, label, sources, progress)
+    return {
+        file.stem: np.load(file, mmap_mode="r" if file.stem in ROW_ARRAYS else None) for file in folder.glob("*.npy")
+    }
+
+
+def _key(sources: Sequence[Source]) -> str:
+    """What arrays are made from, as one word: other content, or a file changed in its place, gives another word."""
+    parts = []
+    for source in sources:
+        file = (source.folder / "data" / "main_data.hdf5").stat()
+        parts.append([source.dynamics, source.record.sha256, file.st_size, file.st_mtime_ns])
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
+
+
+def _write_arrays(folder: Path, label: str, sources: Sequence[Source], progress: bool) -> None:
+    episodes = sum(source.record.episodes for source in sources)
+    rows = sum(source.record.steps for source in sources) + episodes
+    about = _episode_arrays(episodes)
+    arrays: Arrays = {}
+    row = number = 0
+    for source, episode in _checked_episodes(sources, f"flat arrays of {label}", progress):
+        if not arrays:
+            arrays = _row_arrays(folder, rows, episode)
+        last = row + len(episode)
+        arrays["observations"][row : last + 1] = episode.observations
+        arrays["actions"][row:last] = episode.actions
+        arrays["rewards"][row:last] = episode.rewards
+        arrays["returns_to_go"][row:last] = np.cumsum(episode.rewards[::-1])[::-1]
+        about["episode_starts"][number] = row
+        about["episode_lengths"][number] = len(episode)
+        about["episode_dynamics"][number] = source.dynamics
+        about["episode_snapshots"][number] = episode.snapshot
+        about["episode_returns"][number] = episode.total_reward
+        about["episode_seeds"][number] = episode.seed
+        about["episode_terminated"][number] = episode.terminated
+        row, number = last + 1, number + 1
+    for array in arrays.values():
+        array.flush()  # type: ignore[attr-defined]  # np.memmap
+    for name, values in about.items():
+        np.save(folder / f"{name}.npy", values)
+
+
+def _episode_arrays(episodes: int) -> Arrays:
+    integers = ("starts", "lengths", "dynamics", "snapshots", "seeds")
+    return {
+        **{f"episode_{name}": np.zeros(episodes, dtype=np.int64) for name in integers},
+        "episode_returns": np.zeros(episodes, dtype=np.float64),
+        "episode_terminated": np.zeros(episodes, dtype=np.bool_),
+    }
+
+
+def _row_arrays(folder: Path, rows: int, example: Episode) -> Arrays:
+    """Files of M zero rows: what is not written stays zero, as the last row of an episode wants it."""
+    widths = {"observations": example.observations.shape[1:], "actions": example.actions.shape[1:]}
+    return {
+        name: open_memmap(folder / f"{name}.npy", "w+", np.float32, (rows, *widths.get(name, ())))
+        for name in ROW_ARRAYS
+    }
+
+
+def _checked_episodes(sources: Sequence[Source], title: str, progress: bool) -> Iterator[tuple[Source, Episode]]:
+    """All episodes in order; at the end of each dataset its content is compared with its record."""
+    with _bar(title, sum(source.record.episodes for source in sources), progress) as bar:
+        for source in sources:
+            digest = hashlib.sha256()
+            for episode in read_episodes(source.folder):
+                add_to_hash(digest, episode)
+                yield source, episode
+                bar.advance(bar.task_ids[0])
+            if digest.hexdigest() != source.record.sha256:
+                raise ValueError(
+                    f"{source.folder} is damaged: its episodes are not those it records; build it again with `dynagen "
+                    "data build`"
+                )
+
+
+@contextlib.contextmanager
+def _bar(title: str, total: int, show: bool) -> Iterator[rich.progress.Progress]:
+    console = rich.console.Console(stderr=True)
+    with rich.progress.Progress(console=console, transient=True, disable=not show) as bar:
+        bar.add_task(title, total=total)
+        yield bar

@@ -1,0 +1,91 @@
+"""Windows: the K consecutive steps of an episode that an agent is trained on.
+
+What is here: seeded sampling of windows from flat data, all of a batch at once. Called by the training loop. It must
+not know an agent, nor which split the data are of (fine-tuning samples from test data).
+
+One window of K = 4 at step t = 1 of an episode of three actions; `.` is padding, zero with mask False:
+
+    observations        .    .    s1   s2        (normalised)
+    actions             .    .    a1   a2
+    next_observations   .    .    s2   s3        (normalised; s3 is the episode's last row)
+    returns_to_go       .    .    r1+r2  r2
+    timesteps           0    0    1    2
+    mask                -    -    yes  yes
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynagen_bench.datasets.flat import OfflineDataset
+from dynagen_bench.datasets.normalization import Normalization
+
+
+class Windows(NamedTuple):
+    """A batch of B windows of K steps, padded on the left."""
+
+    observations: NDArray[np.float32]
+    """(B, K, S), normalised."""
+    actions: NDArray[np.float32]
+    """(B, K, A)."""
+    next_observations: NDArray[np.float32]
+    """(B, K, S), normalised."""
+    returns_to_go: NDArray[np.float32]
+    """(B, K), undiscounted, from this step's reward to the end of the episode."""
+    timesteps: NDArray[np.int64]
+    """(B, K), the step's number in its episode."""
+    mask: NDArray[np.bool_]
+    """(B, K), False where there is padding."""
+
+
+class WindowSampler:
+    """Draws windows: each step of the data is as likely as another to be the first of one.
+
+    That is what kzl/decision-transformer (gym/experiment.py, get_batch) does in two draws: an episode in proportion to
+    its length, then a start in it. A window has K steps, or as many as there are to the end of the episode.
+    """
+
+    def __init__(self, dataset: OfflineDataset, context: int, normalization: Normalization) -> None:
+        """Sample windows of `context` = K steps.
+
+        Raises:
+            ValueError: K below 1, data without steps, or a normalisation of another observation.
+        """
+        if context < 1:
+            raise ValueError(f"context is {context}: give a whole number of steps from 1 on")
+        if dataset.num_steps == 0:
+            raise ValueError(f"the {dataset.split} data of {dataset.robot} have no steps to sample")
+        if normalization.mean.shape != (dataset.state_size,):
+            raise ValueError(
+                f"normalization is of {normalization.mean.shape[0]} elements: {dataset.robot} has {dataset.state_size}"
+            )
+        self.dataset = dataset
+        self.context = context
+        self.normalization = normalization
+        self._ends = np.cumsum(dataset.episode_lengths)  # (E,) number of steps up to the end of each episode
+
+    def sample(self, batch_size: int, rng: np.random.Generator) -> Windows:
+        """Draw `batch_size` = B windows."""
+        return self.windows_at(rng.integers(self.dataset.num_steps, size=batch_size))
+
+    def windows_at(self, steps: NDArray[np.int64]) -> Windows:
+        """The windows that begin at steps (B,), counted through all episodes in order."""
+        data = self.dataset
+        episodes = np.searchsorted(self._ends, steps, side="right")
+        lengths = data.episode_lengths[episodes]
+        first = steps - (self._ends[episodes] - lengths)  # (B,) timestep at which the window begins
+        size = np.minimum(self.context, lengths - first)  # (B,) steps that are no padding
+        position = np.arange(self.context) - (self.context - size)[:, None]  # (B, K), negative in the padding
+        mask = position >= 0
+        timesteps = np.where(mask, first[:, None] + position, 0)
+        rows = data.episode_starts[episodes][:, None] + timesteps  # (B, K); padding reads the episode's first row
+        keep = mask[..., None]
+        return Windows(
+            observations=np.where(keep, self.normalization.apply(data.observations[rows]), np.float32(0)),
+            actions=np.where(keep, data.actions[rows], np.float32(0)),
+            next_observations=np.where(keep, self.normalization.apply(data.observations[rows + 1]), np.float32(0)),
+            returns_to_go=np.where(mask, data.returns_to_go[rows], np.float32(0)),
+            timesteps=timesteps,
+            mask=mask,
+        )

@@ -1,0 +1,58 @@
+"""A folder appears whole or not at all."""
+
+import threading
+
+import pytest
+
+from dynagen_bench.collection.whole_folder import exclusively, whole_folder
+
+
+def begin_and_stop(folder):
+    with whole_folder(folder) as unfinished:
+        (unfinished / "a").write_text("2")
+        raise KeyboardInterrupt
+
+
+def test_nothing_is_seen_before_the_end_and_the_old_one_after_an_error(tmp_path):
+    folder = tmp_path / "deep" / "data"
+    with whole_folder(folder) as unfinished:
+        (unfinished / "a").write_text("1")
+        assert not folder.exists()
+        assert unfinished.name.startswith(".")
+    assert (folder / "a").read_text() == "1"
+
+    with pytest.raises(KeyboardInterrupt):
+        begin_and_stop(folder)
+    assert (folder / "a").read_text() == "1"
+    assert [path.name for path in folder.parent.iterdir()] == ["data"]
+
+
+def test_the_new_folder_replaces_the_old_one_and_what_a_killed_process_left(tmp_path):
+    folder = tmp_path / "data"
+    for leftover in (folder, tmp_path / ".data.unfinished", tmp_path / ".data.replaced"):
+        leftover.mkdir()
+        (leftover / "old").touch()
+    with whole_folder(folder) as unfinished:
+        (unfinished / "new").touch()
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+    assert [path.name for path in folder.iterdir()] == ["new"]
+
+
+def test_only_one_makes_a_folder_at_a_time(tmp_path):
+    folder = tmp_path / "data"
+    made = []
+
+    def make(who):
+        with exclusively(folder):
+            if not folder.exists():
+                with whole_folder(folder) as unfinished:
+                    (unfinished / who).touch()
+                    made.append(who)
+
+    threads = [threading.Thread(target=make, args=(f"{i}",)) for i in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(made) == 1
+    assert [path.name for path in folder.iterdir()] == made

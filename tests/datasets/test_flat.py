@@ -1,0 +1,204 @@
+"""Flat arrays: they hold the Minari episodes, are made once, and are never of other data than asked for."""
+
+import dataclasses
+import os
+import shutil
+import subprocess
+import sys
+
+import h5py
+import minari
+import numpy as np
+import pytest
+
+from dynagen_bench import ids
+from dynagen_bench.collection.minari_files import build_dataset
+from dynagen_bench.datasets import OfflineDataset, load_dataset
+from dynagen_bench.datasets.flat_files import cache_folder
+from tests.tiny_data import SNAPSHOTS, three_step_episodes
+
+NAMES = list(ids.dynamics_ids("Hopper", ("test",)))
+
+
+@pytest.fixture
+def own_data(tiny_policies):
+    """Hopper's test data in this test's own Minari root, one episode a snapshot: to be changed."""
+    return lambda **changes: [
+        build_dataset(name, **{"policies_folder": tiny_policies, "episodes_per_snapshot": 1, **changes})
+        for name in NAMES
+    ]
+
+
+def folders():
+    """The finished folders in the cache."""
+    return sorted(path for path in cache_folder().glob("flat-v1/[!.]*"))
+
+
+def test_arrays_hold_the_episodes_in_the_documented_layout(tiny_data):
+    flat = load_dataset("Hopper", "test")
+    assert (flat.robot, flat.split, flat.state_size, flat.action_size) == ("Hopper", "test", 11, 3)
+    number = row = 0
+    for index in range(5):
+        dataset = minari.load_dataset(f"dynagen/Hopper-RandDyn/test{index}-v0")
+        about = dataset.storage.get_episode_metadata(range(8))
+        for episode, metadata in zip(dataset, about, strict=True):
+            length = len(episode.actions)
+            assert flat.episode_starts[number] == row
+            assert flat.episode_lengths[number] == length
+            assert flat.episode_dynamics[number] == index
+            assert flat.episode_seeds[number] == metadata["seed"]
+            assert flat.episode_snapshots[number] == metadata["snapshot"]
+            assert flat.episode_terminated[number] == episode.terminations[-1]
+            assert flat.episode_returns[number] == episode.rewards.sum()
+            rows = slice(row, row + length)
+            np.testing.assert_array_equal(
+                flat.observations[row : row + length + 1], episode.observations.astype(np.float32)
+            )
+            np.testing.assert_array_equal(flat.actions[rows], episode.actions)
+            np.testing.assert_array_equal(flat.rewards[rows], episode.rewards.astype(np.float32))
+            to_go = [episode.rewards[t:].sum() for t in range(length)]
+            np.testing.assert_allclose(flat.returns_to_go[rows], to_go, rtol=1e-6, atol=1e-6)
+            last = row + length
+            assert not flat.actions[last].any()
+            assert (flat.rewards[last], flat.returns_to_go[last]) == (0, 0)
+            row, number = last + 1, number + 1
+    assert (len(flat.observations), len(flat.episode_starts)) == (row, number)
+    assert flat.num_steps == row - number
+    assert set(flat.episode_snapshots) == set(SNAPSHOTS)
+
+
+def test_types_are_the_documented_ones_and_rows_are_mapped(tiny_data):
+    flat = load_dataset("Hopper")
+    for field in ("observations", "actions", "rewards", "returns_to_go"):
+        array = getattr(flat, field)
+        assert array.dtype == np.float32
+        assert isinstance(array, np.memmap)
+        assert not array.flags.writeable
+    dtypes = {f.name: getattr(flat, f.name).dtype for f in dataclasses.fields(flat) if f.name.startswith("episode_")}
+    assert dtypes.pop("episode_returns") == np.float64
+    assert dtypes.pop("episode_terminated") == np.bool_
+    assert set(dtypes.values()) == {np.dtype(np.int64)}
+
+
+def test_train_is_the_default_and_has_no_test_episode(tiny_data):
+    train, test = load_dataset("Hopper"), load_dataset("Hopper", "test")
+    assert (train.split, test.split) == ("train", "test")
+    assert set(train.episode_dynamics) == set(range(20))
+    assert not set(train.episode_seeds) & set(test.episode_seeds)
+    assert train.normalization().mean.shape == (11,)
+    with pytest.raises(ValueError, match="this is split 'test': normalisation is of train data"):
+        test.normalization()
+
+
+def test_test_data_in_the_place_of_train_data_are_refused(tiny_data, tmp_path, monkeypatch):
+    root = tmp_path / "mixed"
+    shutil.copytree(tiny_data, root)
+    place = root / "dynagen" / "Hopper-RandDyn" / "train2-v0"
+    shutil.rmtree(place)
+    shutil.copytree(root / "dynagen" / "Hopper-RandDyn" / "test3-v0", place)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    with pytest.raises(ValueError, match="holds data of Hopper-RandDyn-test3, every=1, not of Hopper-RandDyn-train2"):
+        load_dataset("Hopper")
+
+
+def test_some_dynamics_in_the_order_asked(tiny_data):
+    some = load_dataset("Hopper", "train", indices=[7, 3])
+    assert some.episode_dynamics.tolist() == [7] * 8 + [3] * 8
+    whole = load_dataset("Hopper", "train")
+    np.testing.assert_array_equal(some.episode_seeds[8:], whole.episode_seeds[whole.episode_dynamics == 3])
+
+
+def test_arrays_are_made_once_and_again_when_the_data_change(own_data, tiny_policies):
+    own_data()
+    first = load_dataset("Hopper", "test")
+    (folder,) = folders()
+    made = folder.stat().st_mtime_ns
+    load_dataset("Hopper", "test")
+    assert folders() == [folder]
+    assert folder.stat().st_mtime_ns == made
+    own_data(episodes_per_snapshot=2)
+    second = load_dataset("Hopper", "test")
+    assert len(folders()) == 2
+    assert len(second.episode_lengths) == 2 * len(first.episode_lengths)
+
+
+def test_a_part_is_loaded_by_its_own_name(own_data):
+    own_data(every=2)
+    assert set(load_dataset("Hopper", "test", every=2).episode_snapshots) == {200, 400}
+    with pytest.raises(
+        FileNotFoundError, match=r"no data of Hopper-RandDyn-test0 at .*: make them with `dynagen data build"
+    ):
+        load_dataset("Hopper", "test")
+
+
+def test_damaged_data_are_refused_and_leave_no_arrays(own_data):
+    own_data()
+    load_dataset("Hopper", "test")
+    path = minari.load_dataset(NAMES[3].dataset_id).spec.data_path
+    with h5py.File(f"{path}/main_data.hdf5", "a") as file:
+        file["episode_2/actions"][0, 0] += 2.0**-12
+    before = folders()
+    with pytest.raises(ValueError, match="test3-v0 is damaged: its episodes are not those it records"):
+        load_dataset("Hopper", "test")
+    assert folders() == before
+
+
+def test_data_of_another_mujoco_are_said_to_be(own_data, monkeypatch):
+    own_data()
+    monkeypatch.setattr("dynagen_bench.datasets.flat.version", lambda package: "9.9.9")
+    with pytest.warns(UserWarning, match=r"data of Hopper were made with MuJoCo 4\.0\.0, here is 9\.9\.9"):
+        load_dataset("Hopper", "test")
+
+
+def test_missing_data_name_the_command():
+    with pytest.raises(FileNotFoundError, match=r"no data of Hopper-RandDyn-train0 .* `dynagen data build Hopper`$"):
+        load_dataset("Hopper")
+    with pytest.raises(FileNotFoundError, match=r"`dynagen data build Hopper --every 4`$"):
+        load_dataset("Hopper", every=4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"robot": "Hoper"}, "did you mean 'Hopper'"),
+        ({"robot": "Hopper", "split": "nominal"}, "no data of split 'nominal': choose 'train' or 'test'"),
+        ({"robot": "Hopper", "split": "test", "indices": [5]}, "choose a whole number from 0 to 4"),
+        ({"robot": "Hopper", "indices": [1, 1]}, "give at least one, and none twice"),
+        ({"robot": "Hopper", "indices": []}, "give at least one, and none twice"),
+    ],
+)
+def test_bad_arguments(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        load_dataset(**arguments)
+
+
+def test_arrays_that_do_not_fit_together_are_refused():
+    with pytest.raises(ValueError, match="actions has 6 rows: the episode lengths ask for 7"):
+        dataclasses.replace(three_step_episodes(), actions=np.zeros((6, 1), dtype=np.float32))
+    with pytest.raises(ValueError, match="episode_seeds has 1 rows: the episode lengths ask for 2"):
+        dataclasses.replace(three_step_episodes(), episode_seeds=np.array([1]))
+
+
+def test_two_processes_make_the_arrays_once(own_data):
+    own_data()
+    code = "from dynagen_bench.datasets import load_dataset; print(load_dataset('Hopper', 'test').rewards.sum())"
+    processes = [
+        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=dict(os.environ))
+        for _ in range(2)
+    ]
+    outputs = {process.communicate(timeout=120)[0] for process in processes}
+    assert len(outputs) == 1
+    assert float(outputs.pop()) == pytest.approx(load_dataset("Hopper", "test").rewards.sum(), rel=1e-5)
+    assert len(folders()) == 1
+
+
+def test_normalization_is_of_states_that_were_acted_in():
+    normalization = three_step_episodes().normalization()
+    acted_in = np.array([[0, 0], [10, -1], [20, -2], [40, -4], [50, -5]], dtype=np.float64)
+    np.testing.assert_allclose(normalization.mean, acted_in.mean(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(normalization.std, acted_in.std(axis=0), rtol=1e-6)
+
+
+def test_an_offline_dataset_needs_no_files():
+    assert isinstance(three_step_episodes(), OfflineDataset)
+    assert three_step_episodes().num_steps == 5

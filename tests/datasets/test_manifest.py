@@ -1,0 +1,25 @@
+"""The manifest file."""
+
+import pytest
+
+from dynagen_bench.datasets.manifest import ManifestEntry, add_to_manifest, manifest_file, read_manifest
+
+ENTRY = ManifestEntry("a" * 64, 1000, 123_456, "4.0.0")
+
+
+def test_entries_are_added_sorted_and_the_others_stay(tmp_path):
+    assert read_manifest(tmp_path) == {}
+    add_to_manifest({"b": ENTRY}, tmp_path)
+    add_to_manifest({"a": ENTRY, "c": ENTRY}, tmp_path)
+    changed = ManifestEntry("b" * 64, 1000, 123_456, "4.0.0")
+    add_to_manifest({"c": changed}, tmp_path)
+    assert read_manifest(tmp_path) == {"a": ENTRY, "b": ENTRY, "c": changed}
+    assert list(read_manifest(tmp_path)) == ["a", "b", "c"]
+    assert [path.name for path in tmp_path.iterdir()] == ["manifest.json"]
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"a": {"sha256": "x"}}', '{"a": 3}'])
+def test_a_file_that_is_no_manifest(tmp_path, text):
+    manifest_file(tmp_path).write_text(text)
+    with pytest.raises(ValueError, match=r"manifest\.json is no manifest .*: restore it from the repository"):
+        read_manifest(tmp_path)

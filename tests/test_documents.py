@@ -1,0 +1,61 @@
+"""The documents are true: every code block of README, CONTRIBUTING and docs runs, on less data and for fewer steps."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+SMALLER = {
+    "make ": f"make --directory {ROOT} --dry-run ",
+    "dynagen data build Hopper": "dynagen data build Hopper --every 20",
+    "--steps 20000": "--steps 2 --batch-size 4 --embedding 8",
+    "leaderboard submit my-entry": "leaderboard submit my-entry --board board",
+}
+"""What a test changes in a shell command before it runs it: its size and its place, not what it does."""
+
+
+def blocks(document: Path, language: str) -> list[str]:
+    """The code blocks of one language in a document, in order."""
+    return [code for found, code in BLOCK.findall(document.read_text(encoding="utf-8")) if found == language]
+
+
+def test_every_block_is_of_a_language_that_is_run():
+    languages = {found for document in DOCUMENTS for found, _ in BLOCK.findall(document.read_text(encoding="utf-8"))}
+    assert languages <= {"python", "bash", "text"}
+
+
+@pytest.mark.usefixtures("tiny_data")
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.name)
+def test_python_blocks_run(document, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, object] = {}
+    for code in blocks(document, "python"):
+        exec(compile(code, str(document), "exec"), namespace)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.name)
+def test_shell_blocks_run(document, tmp_path, tiny_dataset_root):
+    shutil.copytree(tiny_dataset_root, tmp_path / "data")
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(tmp_path / "data")}
+    for code in blocks(document, "bash"):
+        for full, small in SMALLER.items():
+            code = code.replace(full, small)
+        done = subprocess.run(
+            ["bash", "-euo", "pipefail", "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, f"{code}\n{done.stdout}\n{done.stderr}"
+
+
+def test_links_to_files_lead_somewhere():
+    for document in DOCUMENTS:
+        for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", document.read_text(encoding="utf-8")):
+            assert (document.parent / target).exists(), f"{document.name} links to {target}"
