@@ -18,6 +18,7 @@ from dynagen_bench.collection.contents import DatasetRecord, content_hash, datas
 from dynagen_bench.collection.episodes import EPISODES_PER_SNAPSHOT
 from dynagen_bench.collection.minari_files import build_dataset
 from dynagen_bench.collection.policies import POLICY_FOLDER, load_policies, policy_file
+from dynagen_bench.datasets.flat import checked_record
 from dynagen_bench.datasets.manifest import RECORDS, ManifestEntry, add_to_manifest, check_official, read_manifest
 from dynagen_bench.datasets.scores import REFERENCE_FILE, Reference, reference_scores, write_reference_scores
 
@@ -98,8 +99,8 @@ def verify(robots: Sequence[str], *, every: int = 1, records: Path = RECORDS) ->
         FileNotFoundError: a dataset is missing.
         ValueError: some datasets are damaged or not official; the message names them and says why.
     """
-    names = [name.part_id(every) for robot in robots for name in ids.dynamics_ids(robot)]
-    found = {dataset_id: read_record(dataset_folder(dataset_id)) for dataset_id in names}
+    names = [name for robot in robots for name in ids.dynamics_ids(robot)]
+    found = {name.part_id(every): checked_record(name, every) for name in names}
     manifest = read_manifest(records)
     faults = []
     with _bars() as bars:

@@ -120,7 +120,7 @@ def load_dataset(
         FileNotFoundError: a dataset is missing; the message has the command that makes it.
     """
     names = _chosen(robot, split, indices)
-    records = {name: _checked_record(name, every) for name in names}
+    records = {name: checked_record(name, every) for name in names}
     foreign = sorted({record.mujoco for record in records.values()} - {version("mujoco")})
     if foreign:
         warnings.warn(
@@ -143,8 +143,13 @@ def _chosen(robot: str, split: str, indices: Sequence[int] | None) -> list[ids.D
     return names
 
 
-def _checked_record(name: ids.DynamicsId, every: int) -> DatasetRecord:
-    """The record of a dataset on this machine, after a look that it is what its place says."""
+def checked_record(name: ids.DynamicsId, every: int) -> DatasetRecord:
+    """The record of a dataset on this machine, after a look that it is what its place says.
+
+    Raises:
+        FileNotFoundError: it is not there; the message has the command that makes it.
+        ValueError: what is there is of other dynamics, or another part.
+    """
     folder = dataset_folder(name.part_id(every))
     command = f"dynagen data build {name.robot}" + ("" if every == 1 else f" --every {every}")
     try:

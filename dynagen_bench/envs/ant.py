@@ -35,8 +35,8 @@ class Ant(RandomDynamics, ant_v5.AntEnv):
 
     Reward of a step: `v + 1 − 0.5‖a‖² − 0.0005‖clip(c, −1, 1)‖²`, with v the root's displacement along x over the
     step's duration (m/s), 1 only if the new state is healthy, a the action clipped to its range, and c the external
-    forces and torques on the bodies at the new state (`cfrc_ext`, N and N m). Gymnasium's Ant-v5 takes v and c where the
-    last substep begins; at the new state they are functions of the transition.
+    forces and torques on the bodies at the new state (`cfrc_ext`, N and N m). Gymnasium's Ant-v5 takes v and c where
+    the last substep begins; at the new state they are functions of the transition.
 
     The episode terminates at a state that is not healthy: not finite, or the torso's height outside 0.2 to 1 m.
 

@@ -37,7 +37,7 @@ def test_metadata_is_full(build):
     assert metadata["dataset_id"] == ID
     assert metadata["algorithm_name"] == "SAC"
     assert metadata["data_format"] == "hdf5"
-    assert metadata["requirements"] == ["dynagen-bench", "mujoco==4.0.0", "gymnasium~=1.4.0"]
+    assert metadata["requirements"] == ["dynagen-bench==0.1.0", "mujoco==4.0.0", "gymnasium~=1.4.0"]
     assert all(metadata[field] for field in ("author", "algorithm_name", "requirements", "description"))
     assert (metadata["ref_min_score"], metadata["ref_max_score"]) == (-1.0, 99.0)
     assert metadata["total_episodes"] == record.episodes == 8
