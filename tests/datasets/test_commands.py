@@ -152,7 +152,7 @@ def test_verify_reads_everything_again(rebuild, tiny_records, capsys):
 
 
 def test_verify_without_data():
-    with pytest.raises(FileNotFoundError, match=r"no dataset at .*train0-v0"):
+    with pytest.raises(FileNotFoundError, match=r"no data of Hopper-RandDyn-train0 .*dynagen data build Hopper"):
         verify(["Hopper"])
 
 
