@@ -1,0 +1,98 @@
+"""How a sequence agent acts: the last K steps of N episodes, kept as it was trained on them.
+
+What is here: `ContextPolicy`, which an agent's `policy()` returns. It satisfies the policy protocol of
+`dynagen_bench.evaluation`. It must not know which agent it acts for, nor the environment.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from agents.interface import History, RobotSpec
+from dynagen_bench.envs import HORIZON
+
+
+class ContextPolicy:
+    """N episodes at once: their last K steps, left padded, and the return still wanted in each."""
+
+    def __init__(
+        self, act: Callable[[History], Tensor], context: int, spec: RobotSpec, target_return: float = 0.0
+    ) -> None:
+        """A policy at the start of its episodes.
+
+        Args:
+            act: history (N, K) → actions (N, A) of its last step.
+            context: K.
+            spec: the robot's sizes and normalisation.
+            target_return: wanted of a whole episode; agents that use no return are given none.
+        """
+        self._act, self._context, self._spec, self._target = act, context, spec, target_return
+        self._allocate(0)
+
+    def _allocate(self, lanes: int) -> None:
+        window = (lanes, self._context)
+        self._observations = np.zeros((*window, self._spec.state_size), dtype=np.float32)
+        self._actions = np.zeros((*window, self._spec.action_size), dtype=np.float32)
+        self._returns = np.zeros(window, dtype=np.float32)
+        self._timesteps = np.zeros(window, dtype=np.int64)
+        self._mask = np.zeros(window, dtype=np.bool_)
+        self._wanted = np.full(lanes, self._target)  # (N,) float64, return still to be achieved
+        self._now = np.zeros(lanes, dtype=np.int64)  # (N,) steps done in the episode
+
+    def predict(
+        self,
+        observation: NDArray[np.floating[Any]],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.float32], Any]:
+        """Actions (N, A) float32 for observations (N, S), which become part of the history.
+
+        Args:
+            observation: (N, S), as the environment gives them.
+            state: not used, the history is kept here; returned as it came.
+            episode_start: (N,), where an episode begins. The first call, and one with another N, begins all of them.
+            deterministic: not used, the agents have one action for a history.
+
+        Raises:
+            ValueError: observations of another shape, or an episode that is longer than any trained on.
+        """
+        observation = np.asarray(observation)
+        if observation.ndim != 2 or observation.shape[1] != self._spec.state_size:
+            raise ValueError(f"observations have shape {observation.shape}: give (N, {self._spec.state_size})")
+        if len(observation) != len(self._now):
+            self._allocate(len(observation))
+        elif episode_start is not None:
+            self._begin(np.asarray(episode_start, dtype=np.bool_))
+        if (self._now >= HORIZON).any():
+            lane = int(np.argmax(self._now))
+            raise ValueError(f"episode {lane} is longer than {HORIZON} steps: set episode_start where a new one begins")
+        self._shift()
+        self._observations[:, -1] = self._spec.normalization.apply(observation)
+        self._returns[:, -1], self._timesteps[:, -1], self._mask[:, -1] = self._wanted, self._now, True
+        fields = (self._observations, self._actions, self._returns, self._timesteps, self._mask)
+        with torch.inference_mode():
+            actions = self._act(History(*map(torch.from_numpy, fields))).numpy()
+        self._actions[:, -1] = actions
+        self._now += 1
+        return actions, state
+
+    def observe(self, rewards: NDArray[np.floating[Any]]) -> None:
+        """Lower the wanted returns by the rewards (N,) of the step just done (paper, section 4, Evaluation)."""
+        if np.shape(rewards) != self._wanted.shape:
+            raise ValueError(f"rewards have shape {np.shape(rewards)}: give {self._wanted.shape}, one an episode")
+        self._wanted -= rewards
+
+    def _begin(self, starting: NDArray[np.bool_]) -> None:
+        for array in (self._observations, self._actions, self._returns, self._timesteps, self._mask, self._now):
+            array[starting] = 0
+        self._wanted[starting] = self._target
+
+    def _shift(self) -> None:
+        for array in (self._observations, self._actions, self._returns, self._timesteps, self._mask):
+            array[:, :-1] = array[:, 1:]
+        self._actions[:, -1] = 0.0  # not taken yet

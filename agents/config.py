@@ -1,0 +1,86 @@
+"""What the sequence agents are configured with: the paper's Table 6, once.
+
+What is here: the fields that DADT, Decision Transformer and Transformer-BC share, with the paper's values as defaults,
+and their checks. The agents' own configs add fields to it; `train.py` reads the optimisation part. It must not know
+what an agent does with a window.
+"""
+
+import dataclasses
+import math
+from typing import Any, Final, Self
+
+# Lowest and highest value of each field, both allowed; a whole number is wanted where the low end is an int.
+_RANGES: Final[dict[str, tuple[float, float]]] = {
+    "layers": (1, 100),
+    "heads": (1, 1024),
+    "embedding": (1, 65536),
+    "context": (1, 200),
+    "batch_size": (1, 1_000_000),
+    "steps": (1, 1_000_000_000),
+    "warmup_steps": (0, 1_000_000_000),
+    "dropout": (0.0, 0.99),
+    "learning_rate": (0.0, 1.0),
+    "beta1": (0.0, 0.999999),
+    "beta2": (0.0, 0.999999),
+    "weight_decay": (0.0, 10.0),
+    "gradient_clip": (1e-6, math.inf),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class TransformerConfig:
+    """Architecture and optimisation of a sequence agent; defaults are Table 6 and appendix C of the paper.
+
+    Raises:
+        ValueError: a field is out of its range; the message names the field, the value and the range.
+    """
+
+    layers: int = 3
+    """Transformer blocks."""
+    heads: int = 1
+    """Attention heads a block; divides `embedding`."""
+    embedding: int = 128
+    """Size D of a token."""
+    context: int = 20
+    """Steps K that the agent sees: 3K tokens for DT and DADT."""
+    dropout: float = 0.1
+    """On embeddings, attention weights and the output of each sublayer."""
+    batch_size: int = 64
+    """Windows in a gradient step."""
+    steps: int = 1_000_000
+    """Gradient steps of a run."""
+    learning_rate: float = 3e-5
+    """After the warm-up, constant."""
+    warmup_steps: int = 10_000
+    """Steps over which the learning rate grows linearly from 0."""
+    beta1: float = 0.9
+    """First momentum of AdamW."""
+    beta2: float = 0.99
+    """Second momentum of AdamW."""
+    weight_decay: float = 1e-4
+    """Of AdamW, on every parameter as in the original Decision Transformer."""
+    gradient_clip: float = 1.0
+    """Largest norm of the whole gradient."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, _RANGES)
+        if self.embedding % self.heads:
+            raise ValueError(f"embedding {self.embedding} does not divide into {self.heads} heads: choose a multiple")
+
+    def for_robot(self, robot: str) -> Self:
+        """This config with the fields that depend on the robot filled in; here there are none."""
+        return self
+
+    def learning_rate_at(self, step: int) -> float:
+        """Learning rate of the update number `step`, counted from 0 (kzl/decision-transformer, gym/experiment.py)."""
+        return self.learning_rate * min((step + 1) / max(self.warmup_steps, 1), 1.0)
+
+
+def check_ranges(config: Any, ranges: dict[str, tuple[float, float]]) -> None:
+    """Raise ValueError naming the first field of `config` that is outside (low, high) of `ranges`, or no number."""
+    for field, (low, high) in ranges.items():
+        value = getattr(config, field)
+        kind = int if isinstance(low, int) else (int, float)
+        if isinstance(value, bool) or not isinstance(value, kind) or not low <= value <= high:
+            number = "whole number" if kind is int else "number"
+            raise ValueError(f"{field} is {value!r}: give a {number} from {low:g} to {high:g}")

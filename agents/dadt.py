@@ -1,0 +1,66 @@
+"""Dynamics-Augmented Decision Transformer (the paper): Decision Transformer that also predicts the next state.
+
+What is here: what DADT adds to `dt`: one linear head and one term of the loss. Called through `AGENTS`. It must not
+know the training loop, nor in which dynamics a window was collected.
+
+    tokens   R̂ₜ  sₜ  aₜ
+    trunk     ╰───┴───╯
+    heads         aₜ  sₜ₊₁      the next state from its step's action token: from states and actions up to t
+    loss     mean (âₜ − aₜ)² + λ · mean (ŝₜ₊₁ − sₜ₊₁)²,  states normalised, both means over steps that are no padding
+
+The paper fixes neither the token that the next state is predicted from nor the scale of its error: the action token is
+where the original Decision Transformer has its (untrained) state head, and normalised states are what all agents get.
+"""
+
+import dataclasses
+
+import torch
+from torch import Tensor, nn
+
+from agents.acting import ContextPolicy
+from agents.config import check_ranges
+from agents.dt import ACTION, DecisionTransformer, DTConfig, masked_mean_square
+from agents.interface import History, RobotSpec
+from agents.trunk import linear
+from dynagen_bench.datasets.windows import Windows
+
+
+@dataclasses.dataclass(frozen=True)
+class DADTConfig(DTConfig):
+    """Table 6."""
+
+    next_state_weight: float = 0.05
+    """λ, the weight of the next state's error beside the action's."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, {"next_state_weight": (0.0, 1e6)})
+
+
+class DADT(nn.Module):
+    """A Decision Transformer and a head on its action tokens; acts as the former."""
+
+    def __init__(self, config: DADTConfig, spec: RobotSpec, generator: torch.Generator) -> None:
+        super().__init__()
+        self.dt = DecisionTransformer(config, spec, generator)
+        self.next_state_head = linear(config.embedding, spec.state_size, generator)
+        self.weight = config.next_state_weight
+
+    def next_states(self, encoded: Tensor) -> Tensor:
+        """Normalised next states (B, K, S) from what `dt.encode` gave (B, K, 3, D)."""
+        out: Tensor = self.next_state_head(encoded[:, :, ACTION])
+        return out
+
+    def loss(self, windows: Windows, generator: torch.Generator | None) -> tuple[Tensor, dict[str, Tensor]]:
+        """Action error + λ · next-state error; see `interface.Agent`."""
+        history, next_observations = History.of(windows), torch.from_numpy(windows.next_observations)
+        assert next_observations.shape == history.observations.shape, next_observations.shape
+        encoded = self.dt.encode(history, generator)
+        action_loss = masked_mean_square(self.dt.actions(encoded) - history.actions, history.mask)
+        next_state_loss = masked_mean_square(self.next_states(encoded) - next_observations, history.mask)
+        parts = {"action_loss": action_loss, "next_state_loss": next_state_loss}
+        return action_loss + self.weight * next_state_loss, parts
+
+    def policy(self) -> ContextPolicy:
+        """As Decision Transformer's."""
+        return self.dt.policy()

@@ -1,0 +1,132 @@
+"""Decision Transformer (Chen et al., 2021): the action that reaches a wanted return, predicted from the last K steps.
+
+What is here: its config, its tokens, its loss and how it acts. Called through `AGENTS`; DADT and Transformer-BC are
+told as what differs from it. It must not know the training loop, nor in which dynamics a window was collected.
+
+    step          t-1            t                       one timestep embedding for the three tokens of a step
+    tokens   R̂  s  a       R̂  s  a       …              a linear embedding for each kind, LayerNorm on the sum
+    trunk     ╰──┴──┴────────┴──┴──╯                       causal, padding hidden
+    heads        a            a                          the action from its step's state token
+
+Written after github.com/kzl/decision-transformer (gym/decision_transformer/models/decision_transformer.py) and the DADT
+paper's Table 6. Differences from the former: learning rate, gradient clip, β₂ and target returns are the paper's;
+dropout masks come from a generator; the unused state and return heads are left out.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final, Self
+
+import torch
+from torch import Tensor, nn
+
+from agents.acting import ContextPolicy
+from agents.config import TransformerConfig, check_ranges
+from agents.interface import History, RobotSpec
+from agents.trunk import Trunk, linear
+from dynagen_bench.datasets.windows import Windows
+from dynagen_bench.envs import HORIZON
+
+__all__ = ["DTConfig", "DecisionTransformer", "StepEncoder", "masked_mean_square"]
+
+TARGET_RETURN: Final = 1000.0
+OVERRIDES: Final[Mapping[str, Mapping[str, float]]] = {"HalfCheetah": {"target_return": 3000.0}}
+"""Table 6 where a robot differs."""
+
+RETURN, STATE, ACTION = range(3)
+"""Place of a step's tokens."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DTConfig(TransformerConfig):
+    """Table 6 without the state prediction."""
+
+    target_return: float | None = None
+    """Return asked for when acting; the paper's if left out: 1000, for HalfCheetah 3000."""
+    return_scale: float = 1000.0
+    """Returns-to-go are divided by this (the original's `scale`)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, {"return_scale": (1e-6, 1e9)})
+        if self.target_return is not None and not math.isfinite(self.target_return):
+            raise ValueError(f"target_return is {self.target_return!r}: give a finite number, or leave it out")
+
+    def for_robot(self, robot: str) -> Self:
+        """This config with the robot's target return filled in."""
+        if self.target_return is not None:
+            return self
+        return dataclasses.replace(self, target_return=OVERRIDES.get(robot, {}).get("target_return", TARGET_RETURN))
+
+
+class StepEncoder(nn.Module):
+    """Steps of M kinds of input → M tokens a step → the trunk's output at each of them."""
+
+    def __init__(self, sizes: Sequence[int], config: TransformerConfig, generator: torch.Generator) -> None:
+        """`sizes`: of the M inputs, in the order of their tokens."""
+        super().__init__()
+        self.embed_inputs = nn.ModuleList(linear(size, config.embedding, generator) for size in sizes)
+        self.embed_time = nn.Embedding(
+            HORIZON, config.embedding, _weight=torch.randn(HORIZON, config.embedding, generator=generator)
+        )
+        self.norm = nn.LayerNorm(config.embedding)
+        self.trunk = Trunk(config, generator)
+
+    def forward(
+        self, inputs: Sequence[Tensor], timesteps: Tensor, mask: Tensor, generator: torch.Generator | None
+    ) -> Tensor:
+        """M inputs (B, K, size), timesteps (B, K) and mask (B, K) → (B, K, M, D)."""
+        (batch, context), kinds = mask.shape, len(inputs)
+        embedded = [embed(x) for embed, x in zip(self.embed_inputs, inputs, strict=True)]
+        tokens = torch.stack(embedded, dim=2) + self.embed_time(timesteps)[:, :, None]  # (B, K, M, D)
+        tokens = self.norm(tokens).view(batch, context * kinds, -1)  # in time: R0 s0 a0 R1 s1 a1 ...
+        out: Tensor = self.trunk(tokens, mask.repeat_interleave(kinds, dim=1), generator)
+        return out.view(batch, context, kinds, -1)
+
+
+def masked_mean_square(error: Tensor, mask: Tensor) -> Tensor:
+    """Mean square of error (B, K, X) over the steps of mask (B, K): padding is neither in the sum nor in the number."""
+    assert error.shape[:2] == mask.shape, (error.shape, mask.shape)
+    return error[mask].square().mean()
+
+
+class DecisionTransformer(nn.Module):
+    """Predicts a step's action from its return-to-go and state and the steps before."""
+
+    limit: Tensor
+
+    def __init__(self, config: DTConfig, spec: RobotSpec, generator: torch.Generator) -> None:
+        super().__init__()
+        self.config, self.spec = config.for_robot(spec.robot), spec
+        self.encoder = StepEncoder((1, spec.state_size, spec.action_size), config, generator)
+        self.action_head = linear(config.embedding, spec.action_size, generator)
+        self.register_buffer("limit", torch.from_numpy(spec.action_limit), persistent=False)
+
+    def encode(self, history: History, generator: torch.Generator | None = None) -> Tensor:
+        """The trunk's output (B, K, 3, D) at the tokens of each step."""
+        history.check(self.spec.state_size, self.spec.action_size)
+        returns = history.returns_to_go[:, :, None] / self.config.return_scale  # (B, K, 1)
+        inputs = (returns, history.observations, history.actions)
+        out: Tensor = self.encoder(inputs, history.timesteps, history.mask, generator)
+        return out
+
+    def actions(self, encoded: Tensor) -> Tensor:
+        """Actions (B, K, A) from what `encode` gave (B, K, 3, D), inside the action space."""
+        return torch.tanh(self.action_head(encoded[:, :, STATE])) * self.limit
+
+    def loss(self, windows: Windows, generator: torch.Generator | None) -> tuple[Tensor, dict[str, Tensor]]:
+        """Mean square error of the actions; see `interface.Agent`."""
+        history = History.of(windows)
+        error = self.actions(self.encode(history, generator)) - history.actions
+        loss = masked_mean_square(error, history.mask)
+        return loss, {"action_loss": loss}
+
+    def act(self, history: History) -> Tensor:
+        """The last step's action (B, A)."""
+        return self.actions(self.encode(history))[:, -1]
+
+    def policy(self) -> ContextPolicy:
+        """Acts for the target return, less what has been achieved."""
+        assert self.config.target_return is not None  # for_robot has filled it in
+        return ContextPolicy(self.act, self.config.context, self.spec, self.config.target_return)

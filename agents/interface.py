@@ -1,0 +1,102 @@
+"""What passes between the agents and the rest: the robot's facts, what an agent sees, what an agent offers.
+
+What is here: `RobotSpec`, `History` and the `Agent` protocol. Every agent, `acting`, `checkpoint` and `learner` use it.
+It must not know any agent.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple, Protocol, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dynagen_bench.datasets.normalization import Normalization
+from dynagen_bench.datasets.windows import Windows
+from dynagen_bench.evaluation import Policy, action_space
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RobotSpec:
+    """What the robot and its training data fix, and no hyperparameter changes.
+
+    Attributes:
+        robot: one of `ids.ROBOTS`.
+        action_limit: (A,) float32, the action space is ± this (0.4 for SlimHumanoid, 1 for the others).
+        normalization: of observations, from the training data.
+    """
+
+    robot: str
+    action_limit: NDArray[np.float32]
+    normalization: Normalization
+
+    @classmethod
+    def of_robot(cls, robot: str, normalization: Normalization) -> Self:
+        """The facts of a robot, its action limit asked of the environment."""
+        space = action_space(robot)
+        assert np.array_equal(space.low, -space.high), f"{robot}'s action space is not symmetric"
+        return cls(robot, space.high.astype(np.float32), normalization)
+
+    @property
+    def state_size(self) -> int:
+        """S."""
+        return len(self.normalization.mean)
+
+    @property
+    def action_size(self) -> int:
+        """A."""
+        return len(self.action_limit)
+
+
+class History(NamedTuple):
+    """The last K steps of B episodes, as an agent may see them when it acts; left padded, tensors.
+
+    The last step's action is not taken yet when acting: it is zero there, and no agent may use a step's action for it.
+    """
+
+    observations: Tensor
+    """(B, K, S) float32, normalised."""
+    actions: Tensor
+    """(B, K, A) float32."""
+    returns_to_go: Tensor
+    """(B, K) float32, undiscounted and unscaled."""
+    timesteps: Tensor
+    """(B, K) int64, 0 at the start of an episode."""
+    mask: Tensor
+    """(B, K) bool, False at padded steps."""
+
+    @classmethod
+    def of(cls, windows: Windows) -> Self:
+        """The part of a training window that an agent may see; next observations are a target only."""
+        return cls(*(torch.from_numpy(getattr(windows, field)) for field in cls._fields))
+
+    def check(self, state_size: int, action_size: int) -> None:
+        """Assert the shapes that the fields' documentation states."""
+        batch, context = self.mask.shape
+        assert self.observations.shape == (batch, context, state_size), self.observations.shape
+        assert self.actions.shape == (batch, context, action_size), self.actions.shape
+        assert self.returns_to_go.shape == self.timesteps.shape == (batch, context), self.returns_to_go.shape
+
+
+class Agent(Protocol):
+    """What the training loop needs of an agent; a `torch.nn.Module` with `loss` and `policy` is one.
+
+    An agent class is called as `AgentClass(config, spec, generator)`, the generator drawing its first parameters.
+    """
+
+    def loss(self, windows: Windows, generator: torch.Generator | None) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss to minimise, and its parts by name; `generator` draws dropout, None leaves dropout out."""
+
+    def policy(self) -> Policy:
+        """A new policy acting with the parameters of this agent, at the start of its episodes."""
+
+    def parameters(self) -> Iterator[torch.nn.Parameter]:
+        """As of `torch.nn.Module`."""
+
+    def named_parameters(self) -> Iterator[tuple[str, torch.nn.Parameter]]:
+        """As of `torch.nn.Module`."""
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> Any:
+        """As of `torch.nn.Module`."""

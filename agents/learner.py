@@ -1,0 +1,85 @@
+"""An agent in training: its gradient steps, and the way to a checkpoint and back.
+
+What is here: `Learner`. Called by `train`. It must not know files, the data's origin or any agent by name.
+"""
+
+import math
+
+import numpy as np
+import torch
+
+from agents import AGENTS
+from agents.checkpoint import Checkpoint, package_versions
+from agents.config import TransformerConfig
+from agents.interface import Agent, RobotSpec
+from dynagen_bench.datasets import WindowSampler
+
+
+class Learner:
+    """An agent, its optimiser, and how far they are."""
+
+    def __init__(self, name: str, config: TransformerConfig, spec: RobotSpec, seed: int) -> None:
+        """An untrained agent; the seed draws its parameters."""
+        self.name, self.config, self.spec, self.seed = name, config, spec, seed
+        self.agent: Agent = AGENTS[name][1](config, spec, torch.Generator().manual_seed(seed))
+        self.optimizer = torch.optim.AdamW(
+            self.agent.parameters(),
+            lr=config.learning_rate,
+            betas=(config.beta1, config.beta2),
+            weight_decay=config.weight_decay,
+            fused=True,
+        )
+        self.step, self.seconds = 0, 0.0
+        self._dropout = torch.Generator()
+
+    def update(self, sampler: WindowSampler) -> dict[str, float]:
+        """One gradient step; returns the losses and the gradient's norm.
+
+        Raises:
+            FloatingPointError: a loss or gradient is not finite; the parameters are those of before the step.
+        """
+        rng = np.random.default_rng([self.seed, self.step])  # so that a continued run draws the same
+        windows = sampler.sample(self.config.batch_size, rng)
+        self._dropout.manual_seed(int(rng.integers(2**63)))
+        loss, parts = self.agent.loss(windows, self._dropout)
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        norm = torch.nn.utils.clip_grad_norm_(self.agent.parameters(), self.config.gradient_clip)
+        values = {
+            "loss": loss.item(),
+            **{name: part.item() for name, part in parts.items()},
+            "gradient_norm": norm.item(),
+        }
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise FloatingPointError(
+                    f"{name} is {value} at step {self.step}: lower --learning-rate, or check the data"
+                )
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.config.learning_rate_at(self.step)
+        self.optimizer.step()
+        self.step += 1
+        return values
+
+    def checkpoint(self) -> Checkpoint:
+        """All that `restore` needs, sharing memory with the learner."""
+        names = [name for name, _ in self.agent.named_parameters()]
+        return Checkpoint(
+            agent=self.name,
+            config=self.config,
+            spec=self.spec,
+            seed=self.seed,
+            step=self.step,
+            seconds=self.seconds,
+            parameters=dict(self.agent.named_parameters()),
+            optimizer={names[i]: slots for i, slots in self.optimizer.state_dict()["state"].items()},
+            versions=package_versions(),
+        )
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go back to a checkpoint of this agent, config and seed."""
+        self.agent.load_state_dict(checkpoint.parameters)
+        names = [name for name, _ in self.agent.named_parameters()]
+        state = {i: dict(checkpoint.optimizer[name]) for i, name in enumerate(names) if name in checkpoint.optimizer}
+        self.optimizer.load_state_dict({"state": state, "param_groups": self.optimizer.state_dict()["param_groups"]})
+        self.step, self.seconds = checkpoint.step, checkpoint.seconds

@@ -1,0 +1,188 @@
+"""A run's folder: what training leaves behind, and how it knows a run again.
+
+What is here: the folder's files, `RunSettings`, and the curves. Called by `train` and `submit`. It must not know
+any agent.
+
+    runs/dadt-Hopper-seed0/
+      config.json             resolved config and settings, data, package versions, git commit
+      curves.csv              a line every `log_every` steps; TensorBoard's events beside it in tensorboard/
+      last.safetensors        the last checkpoint, from which a killed run continues
+      evaluation.json         the official result: the last checkpoint's in the test dynamics
+      best.safetensors        the checkpoint that did best in the test dynamics during training, and its result in
+      evaluation-best.json    the paper's way of reporting; never mixed with the official one
+"""
+
+import contextlib
+import csv
+import dataclasses
+import fcntl
+import io
+import json
+import os
+import subprocess
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from torch.utils.tensorboard.writer import SummaryWriter
+
+from dynagen_bench import ids
+
+_RECORD_ONLY: Final = ("runs", "name", "evaluate_every", "checkpoint_every", "log_every", "threads")
+"""Settings that change no parameter of the agent: a run may continue with others."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RunSettings:
+    """What is trained on and recorded, whatever the agent.
+
+    Raises:
+        ValueError: an unknown robot, or numbers that do not fit together.
+    """
+
+    robot: str
+    """Walker, Hopper, HalfCheetah, SlimHumanoid or Ant."""
+    seed: int = 0
+    """Of everything random in the run."""
+    every: int = 1
+    """Train on every n-th snapshot's data alone (made by `dynagen data build ROBOT --every n`)."""
+    evaluate_every: int = 10_000
+    """Steps between evaluations in the test dynamics, for the record only; 0 evaluates at the end alone."""
+    checkpoint_every: int = 1_000
+    """Steps between checkpoints, a multiple of `log_every`."""
+    log_every: int = 100
+    """Steps in a line of the curves, which holds their means."""
+    runs: Path = Path("runs")
+    """Where run folders are made."""
+    name: str | None = None
+    """Name of the run folder; AGENT-ROBOT-seedSEED if left out."""
+    threads: int = 0
+    """Processor threads for torch; 0 leaves it to torch."""
+
+    def __post_init__(self) -> None:
+        ids.check_robot(self.robot)
+        limits = {"seed": 0, "every": 1, "evaluate_every": 0, "checkpoint_every": 1, "log_every": 1, "threads": 0}
+        for field, low in limits.items():
+            if getattr(self, field) < low:
+                raise ValueError(f"{field} is {getattr(self, field)}: give a whole number from {low} on")
+        if self.checkpoint_every % self.log_every:
+            raise ValueError(f"checkpoint_every {self.checkpoint_every} is no multiple of log_every {self.log_every}")
+
+    def folder(self, agent: str) -> Path:
+        """The run folder of an agent trained with these settings."""
+        part = "" if self.every == 1 else f"-every{self.every}"
+        return self.runs / (self.name or f"{agent}-{self.robot}-seed{self.seed}{part}")
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON, whole or not at all."""
+    _write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def _write_text(path: Path, text: str) -> None:
+    unfinished = path.with_suffix(f".{os.getpid()}.unfinished")
+    try:
+        unfinished.write_text(text, encoding="utf-8", newline="")
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object; raises ValueError with one line where it is none."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} is not JSON ({error}): delete the run folder and train again") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} holds no JSON object: delete the run folder and train again")
+    return content
+
+
+@contextlib.contextmanager
+def claimed(folder: Path, description: Mapping[str, Any]) -> Iterator[None]:
+    """Be the only process in a run folder, which is new or of the same run; its config.json is written.
+
+    Args:
+        folder: made if it is not there.
+        description: JSON with `agent`, `config`, `settings` and `data`, which tell whether it is the same run. More
+            steps, and other intervals, are the same run continued.
+
+    Raises:
+        ValueError: another run has the folder, or another process is training it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / ".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"another process is training in {folder}: wait for it, or give another --name") from None
+        path = folder / "config.json"
+        if path.is_file():
+            _check_same_run(path, description)
+        write_json(path, description)
+        yield
+
+
+def _check_same_run(path: Path, description: Mapping[str, Any]) -> None:
+    old, new = _identity(read_json(path)), _identity(json.loads(json.dumps(description)))
+    for key in sorted(old.keys() | new.keys()):
+        if old.get(key) != new.get(key):
+            raise ValueError(
+                f"{path.parent} is of another run, {key} is {old.get(key)!r} there and {new.get(key)!r} here: "
+                "give another --name, or delete the folder"
+            )
+
+
+def _identity(description: Mapping[str, Any]) -> dict[str, Any]:
+    parts = {"agent": description["agent"]}
+    for group in ("config", "settings", "data"):
+        parts |= {key: value for key, value in description[group].items() if key not in (*_RECORD_ONLY, "steps")}
+    return parts
+
+
+def git_commit() -> str | None:
+    """The checkout's commit, with `-dirty` where files have been changed since; None outside of a repository."""
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    folder = Path(__file__).parent
+    with contextlib.suppress(OSError, subprocess.CalledProcessError):
+        return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
+    return None
+
+
+class Curves:
+    """The learning curves: kept here, written to curves.csv as a whole with each checkpoint, and to TensorBoard.
+
+    A continued run drops the lines after its checkpoint: their steps are done again, with the same result.
+    """
+
+    def __init__(self, folder: Path, step: int) -> None:
+        """The curves of a run that stands at `step`."""
+        self._path = folder / "curves.csv"
+        self._rows: list[dict[str, str]] = []
+        if self._path.is_file():
+            with self._path.open(newline="", encoding="utf-8") as file:
+                self._rows = [row for row in csv.DictReader(file) if int(row["step"]) <= step]
+        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
+
+    def add(self, step: int, values: Mapping[str, float]) -> None:
+        """Add numbers to the line of a step."""
+        if not self._rows or self._rows[-1]["step"] != str(step):
+            self._rows.append({"step": str(step)})
+        for name, value in values.items():
+            self._rows[-1][name] = f"{value:.7g}"
+            self._board.add_scalar(name, value, step)
+
+    def save(self) -> None:
+        """Write what there is, whole or not at all."""
+        columns = list(dict.fromkeys(name for row in self._rows for name in row))
+        text = io.StringIO()
+        writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self._rows)
+        _write_text(self._path, text.getvalue())
+        self._board.flush()
+
+    def close(self) -> None:
+        """Close TensorBoard's file."""
+        self._board.close()

@@ -1,0 +1,103 @@
+"""The history that an acting agent is shown."""
+
+import numpy as np
+import pytest
+import torch
+
+from agents.acting import ContextPolicy
+from dynagen_bench.datasets import WindowSampler
+from dynagen_bench.envs import HORIZON
+from tests.agents.samples import A, K, S, hopper_spec, new_agent, random_dataset
+
+
+class Recorder:
+    """An agent's `act` that gives planned actions and keeps copies of the histories."""
+
+    def __init__(self, planned) -> None:
+        self.planned, self.seen = list(planned), []
+
+    def __call__(self, history) -> torch.Tensor:
+        self.seen.append(type(history)(*(x.clone() for x in history)))
+        return torch.from_numpy(self.planned[len(self.seen) - 1])
+
+
+def test_acting_shows_the_windows_of_training():
+    dataset = random_dataset(lengths=(12,))
+    spec = hopper_spec()
+    recorder = Recorder(dataset.actions[t : t + 1] for t in range(12))
+    policy = ContextPolicy(recorder, K, spec, target_return=float(dataset.returns_to_go[0]))
+    for t in range(12):
+        policy.predict(dataset.observations[t : t + 1], episode_start=np.array([t == 0]))
+        policy.observe(dataset.rewards[t : t + 1])
+    sampler = WindowSampler(dataset, K, spec.normalization)
+    for t, history in enumerate(recorder.seen):
+        size = min(t + 1, K)
+        window = sampler.windows_at(np.array([max(0, t - K + 1)]))
+        for field in ("observations", "actions", "returns_to_go", "timesteps"):
+            shown, trained = getattr(history, field)[0].numpy(), getattr(window, field)[0][:size].copy()
+            if field == "actions":
+                trained[-1] = 0.0  # not taken yet
+            np.testing.assert_allclose(shown[K - size :], trained, rtol=1e-5, atol=1e-5)
+            assert not shown[: K - size].any()
+        assert history.mask[0].tolist() == [False] * (K - size) + [True] * size
+
+
+def test_an_episode_that_begins_anew_forgets_and_leaves_the_others_alone():
+    recorder = Recorder(np.full((2, A), t + 1.0, np.float32) for t in range(4))
+    policy = ContextPolicy(recorder, K, hopper_spec(), target_return=100.0)
+    for t in range(4):
+        policy.predict(np.full((2, S), float(t)), episode_start=np.array([t == 0, t in (0, 2)]))
+        policy.observe(np.array([1.0, 10.0]))
+    last = recorder.seen[-1]
+    assert last.timesteps.tolist() == [[0, 0, 1, 2, 3], [0, 0, 0, 0, 1]]
+    assert last.mask.sum(dim=1).tolist() == [4, 2]
+    assert last.returns_to_go[0].tolist() == [0.0, 100.0, 99.0, 98.0, 97.0]
+    assert last.returns_to_go[1].tolist() == [0.0, 0.0, 0.0, 100.0, 90.0]
+    assert last.actions[:, :, 0].tolist() == [[0.0, 1.0, 2.0, 3.0, 0.0], [0.0, 0.0, 0.0, 3.0, 0.0]]
+
+
+def test_another_number_of_episodes_begins_all_of_them():
+    recorder = Recorder(np.zeros((n, A), np.float32) for n in (3, 3, 2))
+    policy = ContextPolicy(recorder, K, hopper_spec())
+    for lanes in (3, 3, 2):
+        policy.predict(np.zeros((lanes, S)))
+    assert [history.mask.sum().item() for history in recorder.seen] == [3, 6, 2]
+
+
+def test_episodes_act_alone_as_they_do_together(name):
+    rng = np.random.default_rng(0)
+    observations, rewards = rng.normal(size=(8, 3, S)), rng.uniform(0, 50, size=(8, 3))
+
+    def act(lanes):
+        policy, actions = new_agent(name).policy(), []
+        for o, r in zip(observations, rewards, strict=True):
+            actions.append(policy.predict(o[lanes])[0])
+            policy.observe(r[lanes])
+        return np.stack(actions)
+
+    together = act([0, 1, 2])
+    for lane in range(3):
+        np.testing.assert_allclose(act([lane])[:, 0], together[:, lane], atol=1e-6)
+
+
+def test_the_return_still_wanted_matters_to_who_is_conditioned_on_it(name):
+    actions = []
+    for reward in (0.0, 500.0):
+        policy = new_agent(name).policy()
+        policy.predict(np.zeros((1, S)))
+        policy.observe(np.array([reward]))
+        actions.append(policy.predict(np.zeros((1, S)))[0])
+    assert np.array_equal(*actions) == (name == "transformer_bc")
+
+
+def test_what_cannot_be_acted_on_is_said_in_one_line():
+    policy = ContextPolicy(Recorder([np.zeros((1, A), np.float32)] * (HORIZON + 1)), K, hopper_spec())
+    for wrong in (np.zeros(S), np.zeros((1, S + 1))):
+        with pytest.raises(ValueError, match=r"observations have shape .*: give \(N, 11\)"):
+            policy.predict(wrong)
+    for _ in range(HORIZON):
+        policy.predict(np.zeros((1, S)))
+    with pytest.raises(ValueError, match="rewards have shape"):
+        policy.observe(np.zeros(2))
+    with pytest.raises(ValueError, match="episode 0 is longer than 200 steps: set episode_start"):
+        policy.predict(np.zeros((1, S)))

@@ -1,0 +1,75 @@
+"""Configs: the paper's values, and what they refuse."""
+
+import dataclasses
+
+import pytest
+
+from agents import AGENTS
+from agents.dadt import DADTConfig
+from agents.dt import DTConfig
+
+TABLE_6 = {
+    "layers": 3,
+    "heads": 1,
+    "embedding": 128,
+    "batch_size": 64,
+    "context": 20,
+    "dropout": 0.1,
+    "learning_rate": 3e-5,
+    "beta1": 0.9,
+    "beta2": 0.99,
+    "weight_decay": 1e-4,
+    "warmup_steps": 10_000,
+    "gradient_clip": 1.0,
+    "steps": 1_000_000,
+}
+
+
+def test_defaults_are_the_papers(name):
+    config = AGENTS[name][0]()
+    for field, value in TABLE_6.items():
+        assert getattr(config, field) == value
+
+
+def test_what_the_agents_add_to_table_6():
+    assert DADTConfig().next_state_weight == 0.05
+    targets = {"Walker": 1000, "Hopper": 1000, "HalfCheetah": 3000, "SlimHumanoid": 1000, "Ant": 1000}
+    for robot, target in targets.items():
+        assert DTConfig().for_robot(robot).target_return == target
+        assert DADTConfig().for_robot(robot).target_return == target
+        assert DADTConfig(target_return=7.0).for_robot(robot).target_return == 7.0
+
+
+def test_learning_rate_grows_linearly_then_stays(name):
+    config = AGENTS[name][0](learning_rate=1.0, warmup_steps=4)
+    assert [config.learning_rate_at(step) for step in range(6)] == [0.25, 0.5, 0.75, 1.0, 1.0, 1.0]
+    assert dataclasses.replace(config, warmup_steps=0).learning_rate_at(0) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"layers": 0}, "layers is 0: give a whole number from 1 to 100"),
+        ({"batch_size": 2.5}, r"batch_size is 2.5: give a whole number from 1 to 1e\+06"),
+        ({"context": 201}, "context is 201: give a whole number from 1 to 200"),
+        ({"dropout": 1.0}, "dropout is 1.0: give a number from 0 to 0.99"),
+        ({"learning_rate": float("nan")}, "learning_rate is nan: give a number from 0 to 1"),
+        ({"heads": 3}, "embedding 128 does not divide into 3 heads"),
+    ],
+)
+def test_a_wrong_value_is_named_with_what_is_allowed(name, changes, message):
+    with pytest.raises(ValueError, match=message):
+        AGENTS[name][0](**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"return_scale": 0.0}, "return_scale is 0.0: give a number"),
+        ({"target_return": float("inf")}, "target_return is inf: give a finite number"),
+        ({"next_state_weight": -0.1}, "next_state_weight is -0.1: give a number"),
+    ],
+)
+def test_the_agents_own_fields_are_checked_too(changes, message):
+    with pytest.raises(ValueError, match=message):
+        DADTConfig(**changes)

@@ -1,0 +1,179 @@
+"""The training loop: what a run leaves, and that stopping it changes nothing."""
+
+import csv
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import torch
+
+from agents.checkpoint import load_checkpoint
+from agents.learner import Learner
+from agents.run_folder import RunSettings, claimed
+from agents.train import main, train
+from dynagen_bench.datasets import WindowSampler, load_dataset
+from dynagen_bench.evaluation import Evaluation, evaluate, reset_seeds
+from tests.agents.samples import K, hopper_spec, random_dataset, tiny_config
+
+TINY_FLAGS = "--layers 2 --heads 2 --embedding 16 --context 5 --batch-size 8 --warmup-steps 5 --learning-rate 1e-3"
+
+
+def settings(tmp_path, **changes) -> RunSettings:
+    given = {"robot": "Hopper", "runs": tmp_path, "evaluate_every": 10, "checkpoint_every": 4, "log_every": 2}
+    return RunSettings(**(given | changes))
+
+
+def parameters(folder, file="last.safetensors"):
+    return load_checkpoint(folder / file).parameters
+
+
+def same(one, other) -> bool:
+    return one.keys() == other.keys() and all(torch.equal(one[key], other[key]) for key in one)
+
+
+def curves(folder):
+    with (folder / "curves.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_run_leaves_curves_checkpoints_and_the_official_evaluation(name, tmp_path):
+    folder = train(name, tiny_config(name), settings(tmp_path), random_dataset())
+    assert folder == tmp_path / f"{name}-Hopper-seed0"
+    rows = curves(folder)
+    assert [int(row["step"]) for row in rows] == list(range(2, 21, 2))
+    assert [row["step"] for row in rows if row["test_return"]] == ["10", "20"]
+    assert float(rows[0]["learning_rate"]) == pytest.approx(0.4e-3)
+    assert {"loss", "action_loss", "gradient_norm", "seconds"} <= rows[0].keys()
+    assert any("tfevents" in file.name for file in (folder / "tensorboard").iterdir())
+
+    record = json.loads((folder / "evaluation.json").read_text())
+    assert (record["agent"], record["seed"], record["gradient_steps"]) == (name, 0, 20)
+    evaluation = Evaluation.from_json(record["evaluation"])
+    assert np.array_equal(evaluation.seeds, reset_seeds("Hopper", "test", range(5)))
+    again = evaluate(load_checkpoint(folder / "last.safetensors").build_agent().policy(), "Hopper")
+    assert np.array_equal(again.returns, evaluation.returns)
+
+    best = json.loads((folder / "evaluation-best.json").read_text())
+    means = {row["step"]: float(row["test_return"]) for row in rows if row["test_return"]}
+    assert str(best["gradient_steps"]) == max(means, key=means.__getitem__)
+    assert load_checkpoint(folder / "best.safetensors").step == best["gradient_steps"]
+    config = json.loads((folder / "config.json").read_text())
+    assert config["config"]["embedding"] == 16
+    assert config["config"].get("target_return", 1000.0) == 1000.0  # the robot's, filled in
+    assert not [file for file in os.listdir(folder) if file.endswith(".unfinished")]
+
+
+def test_a_run_stopped_at_any_step_ends_as_one_that_was_not(name, tmp_path, monkeypatch):
+    whole = train(name, tiny_config(name), settings(tmp_path / "whole"), random_dataset())
+    update, stops = Learner.update, [3, 9, 15]
+
+    def stopped(self, sampler):
+        if stops and self.step == stops[0]:
+            stops.pop(0)
+            raise KeyboardInterrupt
+        return update(self, sampler)
+
+    monkeypatch.setattr(Learner, "update", stopped)
+    for _ in range(3):
+        with pytest.raises(KeyboardInterrupt):
+            train(name, tiny_config(name), settings(tmp_path / "cut"), random_dataset())
+    cut = train(name, tiny_config(name), settings(tmp_path / "cut"), random_dataset())
+    assert same(parameters(whole), parameters(cut))
+    assert same(parameters(whole, "best.safetensors"), parameters(cut, "best.safetensors"))
+    assert [{**row, "seconds": ""} for row in curves(whole)] == [{**row, "seconds": ""} for row in curves(cut)]
+
+
+def test_more_steps_continue_a_finished_run_and_fewer_are_refused(tmp_path):
+    whole = train("dt", tiny_config("dt", steps=12), settings(tmp_path / "whole"), random_dataset())
+    for steps in (6, 12, 12):
+        folder = train("dt", tiny_config("dt", steps=steps), settings(tmp_path / "more"), random_dataset())
+        assert json.loads((folder / "evaluation.json").read_text())["gradient_steps"] == steps
+    assert same(parameters(whole), parameters(folder))
+    with pytest.raises(ValueError, match="is at step 12 already: give --steps 12 or more"):
+        train("dt", tiny_config("dt", steps=6), settings(tmp_path / "more"), random_dataset())
+
+
+@pytest.mark.slow
+def test_a_killed_process_continues(tiny_data, tmp_path):
+    arguments = ["dadt", "--robot", "Hopper", "--steps", "200", "--checkpoint-every", "20", "--log-every", "10"]
+    arguments += [*TINY_FLAGS.split(), "--evaluate-every", "0", "--threads", "1", "--runs"]
+    load_dataset("Hopper")  # so that the process need not make the arrays
+    process = subprocess.Popen([sys.executable, "-m", "agents.train", *arguments, str(tmp_path / "killed")])
+    last, deadline = tmp_path / "killed" / "dadt-Hopper-seed0" / "last.safetensors", time.monotonic() + 120
+    while not last.is_file() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert load_checkpoint(last).step < 200
+    main([*arguments, str(tmp_path / "killed")])
+    main([*arguments, str(tmp_path / "whole")])
+    assert same(parameters(last.parent), parameters(tmp_path / "whole" / "dadt-Hopper-seed0"))
+
+
+def test_test_data_and_other_robots_data_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"the data are Hopper 'test': train on load_dataset\('Hopper', 'train'\)"):
+        train("dt", tiny_config("dt"), settings(tmp_path), random_dataset(split="test"))
+    with pytest.raises(ValueError, match="the data are Hopper 'train': train on"):
+        train("dt", tiny_config("dt"), settings(tmp_path, robot="Ant"), random_dataset())
+    assert not os.listdir(tmp_path)
+
+
+def test_a_folder_of_another_run_is_refused(tmp_path):
+    train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset())
+    for config, data in ((tiny_config("dt", dropout=0.2), random_dataset()), (tiny_config("dt"), random_dataset((9,)))):
+        with pytest.raises(
+            ValueError, match=r"is of another run, (dropout is 0\.1|data_steps is 24) there and .* here"
+        ):
+            train("dt", config, settings(tmp_path), data)
+    with pytest.raises(ValueError, match="another run, agent is 'dt' there and 'dadt' here"):
+        train("dadt", tiny_config("dadt"), settings(tmp_path, name="dt-Hopper-seed0"), random_dataset())
+
+
+def test_two_processes_do_not_train_in_one_folder(tmp_path):
+    description = {"agent": "dt", "config": {}, "settings": {}, "data": {}}
+    with (
+        claimed(tmp_path, description),
+        pytest.raises(ValueError, match="another process is training"),
+        claimed(tmp_path, description),
+    ):
+        pass
+
+
+def test_a_loss_that_is_no_number_stops_before_it_does_harm(tmp_path):
+    dataset = random_dataset()
+    broken = dataset.observations.copy()
+    broken[5] = np.nan
+    sampler = WindowSampler(dataclasses.replace(dataset, observations=broken), K, dataset.normalization())
+    learner = Learner("dadt", tiny_config("dadt", batch_size=64), hopper_spec(), seed=0)
+    with pytest.raises(FloatingPointError, match=r"loss is nan at step 0: .*check the data"):
+        learner.update(sampler)
+    assert same(
+        learner.checkpoint().parameters, Learner("dadt", learner.config, hopper_spec(), 0).checkpoint().parameters
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"robot": "hoper"}, "unknown robot 'hoper'.*did you mean 'Hopper'"),
+        ({"seed": -1}, "seed is -1: give a whole number from 0 on"),
+        ({"checkpoint_every": 5}, "checkpoint_every 5 is no multiple of log_every 2"),
+    ],
+)
+def test_wrong_settings_are_refused_in_one_line(tmp_path, changes, message):
+    with pytest.raises(ValueError, match=message):
+        settings(tmp_path, **changes)
+
+
+def test_the_command_line_ends_bad_input_in_one_line(tmp_path, capsys):
+    for arguments in (["dt", "--robot", "Hopper", "--dropout", "2"], ["dt", "--robot", "Hopper"]):
+        with pytest.raises(SystemExit) as stop:
+            main([*arguments, "--runs", str(tmp_path)])
+        code = stop.value.code
+        assert code == 2 or (isinstance(code, str) and code.startswith("error: ") and "\n" not in code)
