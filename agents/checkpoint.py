@@ -12,7 +12,6 @@ Random states are not in it: the randomness of a step is a function of (seed, st
 import contextlib
 import dataclasses
 import json
-import os
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -28,6 +27,7 @@ from agents import AGENTS
 from agents.config import TransformerConfig
 from agents.interface import Agent, RobotSpec
 from dynagen_bench.datasets.normalization import Normalization
+from dynagen_bench.whole import whole_file
 
 FORMAT_VERSION: Final = 1
 METADATA_KEY: Final = "dynagen-agent"
@@ -94,17 +94,12 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
         "seconds": checkpoint.seconds,
         "versions": dict(checkpoint.versions),
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(f".{os.getpid()}.unfinished")
-    try:
+    with whole_file(path) as unfinished:
         safetensors.torch.save_file(
             {name: value.detach().contiguous() for name, value in tensors.items()},
             unfinished,
             metadata={METADATA_KEY: json.dumps(metadata)},
         )
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def load_checkpoint(path: Path, *, agent: str | None = None, robot: str | None = None) -> Checkpoint:

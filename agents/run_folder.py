@@ -16,9 +16,7 @@ import contextlib
 import csv
 import dataclasses
 import fcntl
-import io
 import json
-import os
 import subprocess
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -27,6 +25,7 @@ from typing import Any, Final
 from torch.utils.tensorboard.writer import SummaryWriter
 
 from dynagen_bench import ids
+from dynagen_bench.whole import whole_file
 
 _RECORD_ONLY: Final = ("runs", "name", "evaluate_every", "checkpoint_every", "log_every", "threads")
 """Settings that change no parameter of the agent: a run may continue with others."""
@@ -76,16 +75,8 @@ class RunSettings:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON, whole or not at all."""
-    _write_text(path, json.dumps(content, indent=1) + "\n")
-
-
-def _write_text(path: Path, text: str) -> None:
-    unfinished = path.with_suffix(f".{os.getpid()}.unfinished")
-    try:
-        unfinished.write_text(text, encoding="utf-8", newline="")
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with whole_file(path) as unfinished:
+        unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -176,11 +167,10 @@ class Curves:
     def save(self) -> None:
         """Write what there is, whole or not at all."""
         columns = list(dict.fromkeys(name for row in self._rows for name in row))
-        text = io.StringIO()
-        writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self._rows)
-        _write_text(self._path, text.getvalue())
+        with whole_file(self._path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self._rows)
         self._board.flush()
 
     def close(self) -> None:

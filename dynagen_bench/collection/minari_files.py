@@ -30,9 +30,9 @@ from dynagen_bench.collection.contents import (
 )
 from dynagen_bench.collection.episodes import EPISODES_PER_SNAPSHOT, SEED, Episode, collect_episodes
 from dynagen_bench.collection.policies import POLICY_FOLDER, BehaviourPolicy, load_policies, policy_file
-from dynagen_bench.collection.whole_folder import exclusively, whole_folder
 from dynagen_bench.dynamics import load_dynamics
 from dynagen_bench.envs import HORIZON
+from dynagen_bench.whole import exclusively, whole_folder
 
 AUTHOR: Final = "DynaGen Bench contributors"
 

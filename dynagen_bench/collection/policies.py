@@ -7,7 +7,6 @@ data needs none of that.
 
 import dataclasses
 import hashlib
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +17,7 @@ import safetensors.numpy
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
+from dynagen_bench.whole import whole_file
 
 ACTION_STEP: Final = 2.0**-12
 """Actions are rounded to multiples of this. Processors differ by about 1e-15 in a float64 policy; rounding to float32
@@ -88,11 +88,8 @@ def save_policies(path: Path, snapshots: Mapping[int, BehaviourPolicy], metadata
         for layer in LAYERS:
             tensors[f"{step:08d}/{layer}/weight"] = np.ascontiguousarray(policy.weights[layer], dtype=np.float16)
             tensors[f"{step:08d}/{layer}/bias"] = np.ascontiguousarray(policy.biases[layer], dtype=np.float16)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(f".{os.getpid()}.unfinished")
-    safetensors.numpy.save_file(tensors, unfinished, metadata=dict(metadata))
-    unfinished.chmod(0o644)
-    os.replace(unfinished, path)
+    with whole_file(path) as unfinished:
+        safetensors.numpy.save_file(tensors, unfinished, metadata=dict(metadata))
 
 
 def load_policies(path: Path) -> tuple[dict[int, BehaviourPolicy], dict[str, str]]:

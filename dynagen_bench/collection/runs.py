@@ -21,6 +21,9 @@ from dynagen_bench.collection.settings import SACSettings
 NICENESS: Final = 10
 """Runs take hours: they leave the processor to whatever a user does beside them."""
 
+CAN_PIN: Final = hasattr(os, "sched_setaffinity")
+"""Only Linux lets a process choose its processor; elsewhere runs share them as the system likes."""
+
 
 def missing_runs(names: Sequence[ids.DynamicsId], folder: Path) -> list[ids.DynamicsId]:
     """The dynamics that have no stored policies yet."""
@@ -34,7 +37,7 @@ def collect(names: Sequence[ids.DynamicsId], settings: SACSettings, folder: Path
         RuntimeError: some runs failed; the message names them, and the others have finished.
     """
     todo = missing_runs(names, folder)
-    cores = sorted(os.sched_getaffinity(0))[:processes]
+    cores = (sorted(os.sched_getaffinity(0)) if CAN_PIN else list(range(os.cpu_count() or 1)))[:processes]
     manager = multiprocessing.get_context("spawn").Manager()
     reports: queue.Queue[tuple[str, int]] = manager.Queue()
     free_cores: queue.Queue[int] = manager.Queue()
@@ -80,7 +83,8 @@ def _drain(reports: "queue.Queue[tuple[str, int]]") -> list[tuple[str, int]]:
 def _run(name: ids.DynamicsId, settings: SACSettings, folder: Path, free_cores: Any, reports: Any) -> None:
     core = free_cores.get()
     try:
-        os.sched_setaffinity(0, {core})
+        if CAN_PIN:
+            os.sched_setaffinity(0, {core})
         os.nice(NICENESS)
         os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
         os.environ["JAX_PLATFORMS"] = "cpu"

@@ -7,7 +7,6 @@ needs the [collect] extra; nothing else in the package does. It must not know ep
 import csv
 import dataclasses
 import json
-import os
 import time
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
@@ -25,6 +24,7 @@ from dynagen_bench.collection.policies import BehaviourPolicy, policy_file, save
 from dynagen_bench.collection.settings import SACSettings
 from dynagen_bench.dynamics import load_dynamics
 from dynagen_bench.envs import HORIZON, BatchPhysics
+from dynagen_bench.whole import whole_file
 
 
 class BatchVecEnv(VecEnv):
@@ -171,7 +171,6 @@ def train_behaviour_policies(
     snapshots = _Snapshots(settings.snapshot_every, progress)
     model.learn(settings.total_steps, callback=snapshots, log_interval=10**9)
     path = policy_file(name, folder)
-    path.parent.mkdir(parents=True, exist_ok=True)
     _write_curve(path.with_suffix(".csv"), snapshots.curve)
     metadata = {
         "dynamics": name.env_id,
@@ -183,9 +182,7 @@ def train_behaviour_policies(
 
 
 def _write_curve(path: Path, rows: Sequence[dict[str, float]]) -> None:
-    unfinished = path.with_suffix(f".{os.getpid()}.unfinished")
-    with unfinished.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-    os.replace(unfinished, path)

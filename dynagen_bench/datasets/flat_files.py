@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from dynagen_bench.collection.contents import DatasetRecord, add_to_hash, read_episodes
 from dynagen_bench.collection.episodes import Episode
-from dynagen_bench.collection.whole_folder import exclusively, whole_folder
+from dynagen_bench.whole import exclusively, whole_folder
 
 LAYOUT_VERSION: Final = 1
 """Counts the changes of `OfflineDataset`'s layout: each has folders of its own."""

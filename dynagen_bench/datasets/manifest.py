@@ -6,13 +6,13 @@ made.
 
 import dataclasses
 import json
-import os
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
 from dynagen_bench.collection.contents import DatasetRecord
+from dynagen_bench.whole import whole_file
 
 RECORDS: Final = Path(__file__).parent
 """The folder of `manifest.json` and `reference_scores.json`, committed in the package."""
@@ -95,6 +95,5 @@ def _read(path: Path) -> dict[str, Any]:
 def update_json(path: Path, entries: Mapping[str, Any]) -> None:
     """Put entries into a JSON object in a file, sorted by key: the file is the old one or the new one at any moment."""
     text = json.dumps(dict(sorted({**_read(path), **entries}.items())), indent=1) + "\n"
-    unfinished = path.with_name(f"{path.name}.{os.getpid()}.unfinished")
-    unfinished.write_text(text, encoding="utf-8")
-    os.replace(unfinished, path)
+    with whole_file(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")

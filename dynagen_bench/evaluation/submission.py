@@ -9,7 +9,6 @@ executed or unpickled, and there is no field for a score: scores are computed fr
 """
 
 import json
-import os
 import re
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -17,6 +16,7 @@ from typing import Annotated, Final, Literal
 import pydantic
 
 from dynagen_bench.evaluation.result import STRICT, EpisodeRecord, Evaluation, first_error
+from dynagen_bench.whole import whole_file
 
 FORMAT_VERSION: Final = 1
 FILE_NAME: Final = "submission.json"
@@ -123,11 +123,9 @@ def write_submission(folder: Path, submission: Submission) -> Path:
     content = submission_text(submission).encode("utf-8")
     if len(content) > MAX_BYTES:
         raise ValueError(f"the submission takes {len(content)} bytes, at most {MAX_BYTES} are read: give fewer runs")
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / FILE_NAME
-    unfinished = path.with_suffix(f".{os.getpid()}.unfinished")
-    unfinished.write_bytes(content)
-    os.replace(unfinished, path)
+    with whole_file(path) as unfinished:
+        unfinished.write_bytes(content)
     return path
 
 

@@ -1,7 +1,7 @@
-"""Folders that appear whole or not at all, whenever a process is killed.
+"""Files and folders that appear whole or not at all, whenever a process is killed.
 
-What is here: the right to make a folder, and making it. Called by the Minari files and by the flat arrays. It must not
-know what is in the folder.
+What is here: the right to make a folder, and making it; making a file. Called by everything that writes. It must not
+know what is in them.
 
 Beside a folder `name` there may be, hidden so that no listing of datasets sees them:
 
@@ -16,6 +16,23 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a place beside `path` to write to; when the block ends well, it becomes `path`.
+
+    After an error (a full disk) nothing is left, and `path` is what it was. A kill leaves `name.PID.unfinished` behind,
+    which nothing reads.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}.unfinished")
+    try:
+        yield unfinished
+        unfinished.chmod(0o644)  # some writers keep a file to its owner
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

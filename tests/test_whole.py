@@ -1,16 +1,22 @@
-"""A folder appears whole or not at all."""
+"""A file or folder appears whole or not at all."""
 
 import threading
 
 import pytest
 
-from dynagen_bench.collection.whole_folder import exclusively, whole_folder
+from dynagen_bench.whole import exclusively, whole_file, whole_folder
 
 
 def begin_and_stop(folder):
     with whole_folder(folder) as unfinished:
         (unfinished / "a").write_text("2")
         raise KeyboardInterrupt
+
+
+def write_half(path):
+    with whole_file(path) as unfinished:
+        unfinished.write_text("half of the sec")
+        raise OSError("disk full")
 
 
 def test_nothing_is_seen_before_the_end_and_the_old_one_after_an_error(tmp_path):
@@ -56,3 +62,15 @@ def test_only_one_makes_a_folder_at_a_time(tmp_path):
         thread.join()
     assert len(made) == 1
     assert [path.name for path in folder.iterdir()] == made
+
+
+def test_a_file_is_the_old_one_until_the_new_one_is_whole(tmp_path):
+    path = tmp_path / "new" / "file.txt"
+    with whole_file(path) as unfinished:
+        unfinished.write_text("first")
+        assert not path.exists()
+    with pytest.raises(OSError, match="disk full"):
+        write_half(path)
+    assert path.read_text() == "first"
+    assert list(path.parent.iterdir()) == [path]
+    assert path.stat().st_mode & 0o777 == 0o644
