@@ -5,6 +5,7 @@ What is here: which runs are missing, and running them side by side with a progr
 """
 
 import concurrent.futures
+import importlib.util
 import multiprocessing
 import os
 import queue
@@ -34,9 +35,14 @@ def collect(names: Sequence[ids.DynamicsId], settings: SACSettings, folder: Path
     """Run what is missing of `names`; finished runs are never run again, stopped ones start again.
 
     Raises:
-        RuntimeError: some runs failed; the message names them, and the others have finished.
+        RuntimeError: the [collect] extra is not installed, or some runs failed; then the message names them, and the
+            others have finished.
     """
     todo = missing_runs(names, folder)
+    if not todo:
+        return
+    if importlib.util.find_spec("sbx") is None:
+        raise RuntimeError("training behaviour policies needs more packages: pip install 'dynagen-bench[collect]'")
     cores = (sorted(os.sched_getaffinity(0)) if CAN_PIN else list(range(os.cpu_count() or 1)))[:processes]
     manager = multiprocessing.get_context("spawn").Manager()
     reports: queue.Queue[tuple[str, int]] = manager.Queue()

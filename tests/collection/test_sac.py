@@ -126,6 +126,12 @@ def test_missing_policies_say_how_they_are_made(tmp_path):
         load_policies(policy_file(NAME, tmp_path))
 
 
+def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda module: None)
+    with pytest.raises(RuntimeError, match=r"pip install 'dynagen-bench\[collect\]'"):
+        collect([NAME], TINY, tmp_path)
+
+
 def test_another_file_is_refused(tmp_path):
     import safetensors.numpy
 
