@@ -44,7 +44,18 @@ def collect(names: Sequence[ids.DynamicsId], settings: SACSettings, folder: Path
     if importlib.util.find_spec("sbx") is None:
         raise RuntimeError("training behaviour policies needs more packages: pip install 'dynagen-bench[collect]'")
     cores = (sorted(os.sched_getaffinity(0)) if CAN_PIN else list(range(os.cpu_count() or 1)))[:processes]
-    manager = multiprocessing.get_context("spawn").Manager()
+    failures = _run_all(todo, settings, folder, cores)
+    if failures:
+        reasons = "; ".join(f"{label}: {error!r}" for label, error in failures.items())
+        raise RuntimeError(f"{len(failures)} runs failed, run the command again to repeat them: {reasons}")
+
+
+def _run_all(
+    todo: Sequence[ids.DynamicsId], settings: SACSettings, folder: Path, cores: Sequence[int]
+) -> dict[str, BaseException]:
+    """Run each of `todo` in a process of its own, as many at once as there are cores; returns what failed, and why."""
+    spawn = multiprocessing.get_context("spawn")
+    manager = spawn.Manager()
     reports: queue.Queue[tuple[str, int]] = manager.Queue()
     free_cores: queue.Queue[int] = manager.Queue()
     for core in cores:
@@ -53,11 +64,9 @@ def collect(names: Sequence[ids.DynamicsId], settings: SACSettings, folder: Path
     failures: dict[str, BaseException] = {}
     with (
         rich.progress.Progress(*columns) as bars,
-        concurrent.futures.ProcessPoolExecutor(
-            len(cores), multiprocessing.get_context("spawn"), max_tasks_per_child=1
-        ) as pool,
+        concurrent.futures.ProcessPoolExecutor(len(cores), spawn, max_tasks_per_child=1) as pool,
     ):
-        whole = bars.add_task(f"{len(names)} runs", total=len(names), completed=len(names) - len(todo))
+        whole = bars.add_task("runs", total=len(todo))
         tasks: dict[str, rich.progress.TaskID] = {}
         futures = {pool.submit(_run, name, settings, folder, free_cores, reports): name for name in todo}
         while futures:
@@ -74,9 +83,7 @@ def collect(names: Sequence[ids.DynamicsId], settings: SACSettings, folder: Path
                 if name.env_id in tasks:
                     bars.remove_task(tasks.pop(name.env_id))
                 bars.advance(whole)
-    if failures:
-        reasons = "; ".join(f"{label}: {error!r}" for label, error in failures.items())
-        raise RuntimeError(f"{len(failures)} runs failed, run the command again to repeat them: {reasons}")
+    return failures
 
 
 def _drain(reports: "queue.Queue[tuple[str, int]]") -> list[tuple[str, int]]:
