@@ -1,0 +1,51 @@
+"""The committed policies, manifest and reference scores belong together: this machine rebuilds the official data."""
+
+import json
+
+import pytest
+
+from dynagen_bench import ids
+from dynagen_bench.collection.minari_files import build_dataset
+from dynagen_bench.collection.policies import load_policies, policy_file
+from dynagen_bench.collection.settings import SACSettings
+from dynagen_bench.datasets import reference_scores
+from dynagen_bench.datasets.manifest import check_official, read_manifest
+from dynagen_bench.datasets.scores import normalized_score, score_range
+
+COLLECTED = ("Hopper",)
+"""Robots whose behaviour policies are in the package."""
+
+
+@pytest.mark.parametrize("robot", COLLECTED)
+def test_every_dynamics_has_its_twenty_policies_of_the_one_setting(robot):
+    settings = SACSettings()
+    steps = range(settings.snapshot_every, settings.total_steps + 1, settings.snapshot_every)
+    hashes = set()
+    for name in ids.dynamics_ids(robot):
+        snapshots, metadata = load_policies(policy_file(name))
+        assert list(snapshots) == list(steps)
+        assert metadata["dynamics"] == name.env_id
+        assert SACSettings(**json.loads(metadata["settings"])) == settings
+        assert len(policy_file(name).with_suffix(".csv").read_text().splitlines()) == 1 + len(steps)
+        hashes |= {policy.content_hash() for policy in snapshots.values()}
+    assert len(hashes) == 25 * 20
+
+
+@pytest.mark.parametrize("robot", COLLECTED)
+def test_manifest_and_scores_are_complete(robot):
+    manifest, scores = read_manifest(), reference_scores(robot)
+    for every in (1, 4):
+        contents = [manifest[name.part_id(every)] for name in ids.dynamics_ids(robot)]
+        assert len({entry.sha256 for entry in contents}) == 25  # no two bodies have the same data
+        assert {entry.episodes for entry in contents} == {50 * 20 // every}
+    assert set(scores) == {name.label for name in ids.dynamics_ids(robot)}
+    assert all(score.min < score.mean < score.max for score in scores.values())
+    low, high = score_range(robot)
+    assert normalized_score(robot, [low, high]).tolist() == [0.0, 100.0]
+
+
+@pytest.mark.parametrize("label", ["test3", "train0"])
+def test_this_machine_rebuilds_the_official_data(label):
+    name = ids.parse_label("Hopper", label)
+    record = build_dataset(name, every=4)
+    check_official(name.part_id(4), record, read_manifest()[name.part_id(4)])
