@@ -157,13 +157,13 @@ def _write_records(made: dict[ids.DynamicsId, DatasetRecord], every: int, record
 def _show(found: dict[str, DatasetRecord], records: Path) -> None:
     manifest = read_manifest(records)
     table = rich.table.Table(box=rich.box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("dataset", overflow="fold")
+    table.add_column("dataset", no_wrap=True)
     for column in ("steps", "min", "mean", "max"):
-        table.add_column(column, justify="right", no_wrap=True, min_width=7)
+        table.add_column(column, justify="right", no_wrap=True, min_width=4)
     table.add_column("content", no_wrap=True, min_width=len("official"))
     for dataset_id, record in found.items():
         entry = manifest.get(dataset_id)
         content = "unlisted" if entry is None else "official" if entry.sha256 == record.sha256 else "differs"
-        returns = [f"{record.returns[field]:.1f}" for field in ("min", "mean", "max")]
+        returns = [f"{record.returns[field]:.0f}" for field in ("min", "mean", "max")]
         table.add_row(dataset_id, f"{record.steps}", *returns, content)
     rich.console.Console().print(table)
