@@ -7,6 +7,7 @@ data needs none of that.
 
 import dataclasses
 import hashlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -27,6 +28,8 @@ LOG_STD_RANGE: Final = (-20.0, 2.0)
 """As sbx clips it (sbx/common/policies.py, SquashedGaussianActor)."""
 
 LAYERS: Final = ("hidden0", "hidden1", "mean", "log_std")
+
+METADATA_KEY: Final = "dynagen-policies"
 
 POLICY_FOLDER: Final = Path(__file__).parent / "policies"
 """The committed policies, `{robot}/{label}.safetensors`, in the package."""
@@ -81,18 +84,21 @@ def policy_file(name: ids.DynamicsId, folder: Path = POLICY_FOLDER) -> Path:
     return folder / name.robot / f"{name.label}.safetensors"
 
 
-def save_policies(path: Path, snapshots: Mapping[int, BehaviourPolicy], metadata: Mapping[str, str]) -> None:
-    """Write the snapshots (environment steps → policy) of one dynamics in one file: whole, or not at all."""
+def save_policies(path: Path, snapshots: Mapping[int, BehaviourPolicy], metadata: Mapping[str, Any]) -> None:
+    """Write the snapshots (environment steps → policy) of one dynamics in one file: whole, or not at all.
+
+    The metadata is one JSON text, because safetensors writes several in no fixed order: same content, same bytes.
+    """
     tensors = {}
     for step, policy in snapshots.items():
         for layer in LAYERS:
             tensors[f"{step:08d}/{layer}/weight"] = np.ascontiguousarray(policy.weights[layer], dtype=np.float16)
             tensors[f"{step:08d}/{layer}/bias"] = np.ascontiguousarray(policy.biases[layer], dtype=np.float16)
     with whole_file(path) as unfinished:
-        safetensors.numpy.save_file(tensors, unfinished, metadata=dict(metadata))
+        safetensors.numpy.save_file(tensors, unfinished, metadata={METADATA_KEY: json.dumps(metadata)})
 
 
-def load_policies(path: Path) -> tuple[dict[int, BehaviourPolicy], dict[str, str]]:
+def load_policies(path: Path) -> tuple[dict[int, BehaviourPolicy], dict[str, Any]]:
     """Read what `save_policies` wrote: snapshots in order of their steps, and the metadata.
 
     Raises:
@@ -102,15 +108,15 @@ def load_policies(path: Path) -> tuple[dict[int, BehaviourPolicy], dict[str, str
     if not path.is_file():
         robot, label = path.parent.name, path.stem
         raise FileNotFoundError(f"no behaviour policies at {path}: train them with `dynagen collect {robot} {label}`")
-    with safetensors.safe_open(path, framework="numpy") as file:
-        metadata = dict(file.metadata() or {})
-        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118, safe_open is no mapping
     snapshots: dict[int, BehaviourPolicy] = {}
     try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            metadata: dict[str, Any] = json.loads((file.metadata() or {})[METADATA_KEY])
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118, safe_open is no mapping
         for step in sorted({key.split("/")[0] for key in tensors}):
             weights = {layer: tensors[f"{step}/{layer}/weight"] for layer in LAYERS}
             biases = {layer: tensors[f"{step}/{layer}/bias"] for layer in LAYERS}
             snapshots[int(step)] = BehaviourPolicy(weights, biases)
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, safetensors.SafetensorError) as error:
         raise ValueError(f"{path} holds no behaviour policies ({error}): restore it from the repository") from error
     return snapshots, metadata

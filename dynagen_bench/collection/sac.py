@@ -6,7 +6,6 @@ needs the [collect] extra; nothing else in the package does. It must not know ep
 
 import csv
 import dataclasses
-import json
 import time
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
@@ -174,8 +173,8 @@ def train_behaviour_policies(
     _write_curve(path.with_suffix(".csv"), snapshots.curve)
     metadata = {
         "dynamics": name.env_id,
-        "settings": json.dumps(dataclasses.asdict(settings)),
-        "versions": json.dumps({p: version(p) for p in ("mujoco", "gymnasium", "sbx-rl", "jax", "stable-baselines3")}),
+        "settings": dataclasses.asdict(settings),
+        "versions": {p: version(p) for p in ("mujoco", "gymnasium", "sbx-rl", "jax", "stable-baselines3")},
     }
     save_policies(path, snapshots.policies, metadata)
     return path
