@@ -6,6 +6,7 @@ needs the [collect] extra; nothing else in the package does. It must not know ep
 
 import csv
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
@@ -117,7 +118,8 @@ class _Snapshots(BaseCallback):
         step = (len(self.policies) + 1) * self._every
         if self.num_timesteps >= step:
             self.policies[step] = actor_policy(self._actor_state().params)
-            episodes = list(self.model.ep_info_buffer or [])
+            # the last hundred episodes; there is none yet only in a run of a few steps
+            episodes = list(self.model.ep_info_buffer or [{"r": math.nan, "l": math.nan}])
             self.curve.append(
                 {
                     "step": step,

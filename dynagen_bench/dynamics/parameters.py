@@ -131,8 +131,9 @@ def _set_derived(model: mujoco.MjModel) -> None:
     It moves the `MjData` that it is given to the reference pose, so it gets one of its own.
     """
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
-    model.stat.meanmass = sum(model.body_mass[1:].tolist()) / (model.nbody - 1)
+    # cumsum adds from left to right, as the compiler does; sum() does not from Python 3.12 on, and the last bit differs
+    model.stat.meaninertia = np.cumsum(model.dof_M0)[-1] / model.nv
+    model.stat.meanmass = np.cumsum(model.body_mass[1:])[-1] / (model.nbody - 1)
 
 
 @functools.cache
