@@ -11,7 +11,7 @@ in the project calls it; it imports nothing of ours, and it must not know what a
 import dataclasses
 import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 ROBOTS: Final = ("Walker", "Hopper", "HalfCheetah", "SlimHumanoid", "Ant")
@@ -87,6 +87,21 @@ def check_index(split: str, index: int) -> int:
 def make_id(robot: str, split: str, index: int) -> DynamicsId:
     """Return the checked id of one dynamics; raises ValueError as the `check_` functions do."""
     return DynamicsId(check_robot(robot), check_split(split), check_index(split, index))
+
+
+def choose_ids(robot: str, split: str, indices: Sequence[int] | None = None) -> list[DynamicsId]:
+    """The ids of some dynamics of a split, in the order given; None takes all.
+
+    Raises:
+        ValueError: an unknown robot, split or index, no index at all, or one twice.
+    """
+    check_robot(robot)
+    size = SPLIT_SIZES[check_split(split)]
+    names = [make_id(robot, split, index) for index in (range(size) if indices is None else indices)]
+    if not names or len(set(names)) != len(names):
+        given = [name.index for name in names]
+        raise ValueError(f"indices {given} name no dynamics or one twice: give at least one, and none twice")
+    return names
 
 
 def v0_env_id(robot: str) -> str:

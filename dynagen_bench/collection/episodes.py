@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dynagen_bench import ids
 from dynagen_bench.collection.policies import BehaviourPolicy
-from dynagen_bench.dynamics import compile_nominal, load_dynamics
+from dynagen_bench.dynamics import load_dynamics
 from dynagen_bench.envs import HORIZON, BatchPhysics
 
 EPISODES_PER_SNAPSHOT: Final = 50
@@ -114,7 +114,7 @@ def roll_out(physics: BatchPhysics, policy: BehaviourPolicy, snapshot: int, seed
     Raises:
         RuntimeError: as `collect_episodes`.
     """
-    limit: NDArray[np.float64] = compile_nominal(physics.robot).actuator_ctrlrange[:, 1]
+    limit = physics.action_limit
     noise = np.stack([action_noise(seed, len(limit)) for seed in seeds])  # (N, T, A)
     running = np.arange(len(seeds))
     first = physics.start(running, [seeding.np_random(seed)[0] for seed in seeds])  # (N, S)

@@ -137,10 +137,7 @@ def _chosen(robot: str, split: str, indices: Sequence[int] | None) -> list[ids.D
     ids.check_robot(robot)
     if split not in ("train", "test"):
         raise ValueError(f"there are no data of split {split!r}: choose 'train' or 'test'")
-    names = [ids.make_id(robot, split, i) for i in (range(ids.SPLIT_SIZES[split]) if indices is None else indices)]
-    if not names or len(set(names)) != len(names):
-        raise ValueError(f"indices are {list(indices or [])}: give at least one, and none twice")
-    return names
+    return ids.choose_ids(robot, split, indices)
 
 
 def checked_record(name: ids.DynamicsId, every: int) -> DatasetRecord:

@@ -39,6 +39,7 @@ class BatchPhysics:
     Attributes:
         qpos: (N, nq) float64, live: writing it sets the states.
         qvel: (N, nv) float64, live.
+        action_limit: (A,) float64, the highest action; every robot's lowest is its negative.
     """
 
     def __init__(self, robot: str, dynamics: Sequence[Dynamics], threads: int = 0) -> None:
@@ -61,7 +62,7 @@ class BatchPhysics:
         self._models = [models[id(drawn)] for drawn in dynamics]
         self._substeps = robot_class.substeps
         self._dt = self._models[0].opt.timestep * self._substeps
-        self._low, self._high = self._models[0].actuator_ctrlrange.T
+        self._low, self.action_limit = self._models[0].actuator_ctrlrange.T
         self._batch = Batch(self._models[0], nsim=len(dynamics), nthread=threads)
         self._batch.set_models(self._models)
         self.qpos: Array = self._batch.bind("qpos")
@@ -104,7 +105,7 @@ class BatchPhysics:
         if not np.isfinite(ctrl).all():
             bad = int(np.flatnonzero(~np.isfinite(ctrl).all(axis=1))[0])
             raise ValueError(f"action {bad} is not finite: {ctrl[bad]}")
-        ctrl = np.clip(ctrl, self._low, self._high)
+        ctrl = np.clip(ctrl, self._low, self.action_limit)
         before = self.qpos[rows], self.qvel[rows]
         unstable = self._advance(rows, ctrl)
         if unstable.any():

@@ -59,10 +59,7 @@ class Evaluation:
     mujoco: str
 
     def __post_init__(self) -> None:
-        for index in self.indices:
-            ids.make_id(self.robot, self.split, index)
-        if not self.indices or len(set(self.indices)) != len(self.indices):
-            raise ValueError(f"indices {list(self.indices)} name no dynamics or one twice")
+        ids.choose_ids(self.robot, self.split, self.indices)
         for name, array in (("returns", self.returns), ("lengths", self.lengths), ("seeds", self.seeds)):
             if array.ndim != 2 or array.size == 0 or array.shape != (len(self.indices), self.returns.shape[-1]):
                 raise ValueError(

@@ -90,7 +90,7 @@ def evaluate(
         raise TypeError(
             f"{type(policy).__name__} has no method predict(observation, ...): see dynagen_bench.evaluation.Policy"
         )
-    chosen = _check_indices(robot, split, indices)
+    chosen = tuple(name.index for name in ids.choose_ids(robot, split, indices))
     if episodes < 1:
         raise ValueError(f"{episodes} episodes asked for: evaluate at least 1 in each dynamics")
     seeds = reset_seeds(robot, split, chosen, episodes, seed)
@@ -102,15 +102,6 @@ def evaluate(
         bar.update(task, completed=HORIZON)
     shape = seeds.shape
     return Evaluation(robot, split, chosen, returns.reshape(shape), lengths.reshape(shape), seeds, mujoco.__version__)
-
-
-def _check_indices(robot: str, split: str, indices: Sequence[int] | None) -> tuple[int, ...]:
-    ids.check_robot(robot)
-    size = ids.SPLIT_SIZES[ids.check_split(split)]
-    chosen = tuple(range(size)) if indices is None else tuple(ids.check_index(split, index) for index in indices)
-    if not chosen or len(set(chosen)) != len(chosen):
-        raise ValueError(f"indices {list(chosen)} name no dynamics or one twice: give each dynamics of the split once")
-    return chosen
 
 
 def _run_lanes(
