@@ -9,7 +9,7 @@ INSTALLED := $(VENV)/installed
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) install --quiet --constraint constraints.txt --editable ".[agents,collect,dev]"
+	$(PIP) install --quiet --constraint constraints.txt --editable ".[agents,collect,cluster,pictures,remotes,dev]"
 	touch $@
 
 # A quarter of the data (every fourth snapshot) and a thousandth of the paper's steps, at a learning rate to match.

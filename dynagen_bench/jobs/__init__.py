@@ -1,0 +1,1 @@
+"""Many independent, resumable jobs, on local processes or on a Ray cluster."""

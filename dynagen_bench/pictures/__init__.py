@@ -1,0 +1,1 @@
+"""Bodies and data to look at: videos and pages."""
