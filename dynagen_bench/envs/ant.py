@@ -35,12 +35,14 @@ class Ant(RandomDynamics, ant_v5.AntEnv):
 
     Reward of a step: `v + 1 − 0.5‖a‖² − 0.0005‖clip(c, −1, 1)‖²`, with v the root's displacement along x over the
     step's duration (m/s), 1 only if the new state is healthy, a the action clipped to its range, and c the external
-    forces and torques on the bodies at the new state (`cfrc_ext`, N and N m). Gymnasium's Ant-v5 takes v and c where
-    the last substep begins; at the new state they are functions of the transition.
+    forces and torques on the bodies at the new state (`cfrc_ext`, N and N m).
 
     The episode terminates at a state that is not healthy: not finite, or the torso's height outside 0.2 to 1 m.
 
     Start: standing, qpos moved by Uniform(−0.1, 0.1) and qvel by 0.1 · Normal(0, 1), each element.
+
+    Beside Gymnasium's Ant-v5: the 78 elements of the contact forces are not observed; v and c are those of the new
+    state, and so functions of the transition, where Gymnasium's are of the state at which the last substep begins.
     """
 
     robot = "Ant"

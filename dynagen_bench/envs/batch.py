@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from dynagen_bench.dynamics import Dynamics, apply_dynamics, compile_nominal
 from dynagen_bench.envs.robots import ROBOT_CLASSES
-from dynagen_bench.envs.rules import Array, initial_state, observe, reward
-from dynagen_bench.envs.single import BAD_STATE_WARNINGS
+from dynagen_bench.envs.rules import Array, Reward, Values, initial_state, observe, reward, velocity_info
+from dynagen_bench.envs.single import BAD_STATE
 
 
 class Transition(NamedTuple):
@@ -29,6 +29,12 @@ class Transition(NamedTuple):
     """(M,): the new state ends the episode."""
     unstable: NDArray[np.bool_]
     """(M,): MuJoCo reported a bad state; the old state stands, the reward is 0 and the episode is over."""
+    states: Array
+    """(M, X) float64, the new states: qpos, then qvel."""
+    velocities: dict[str, Values]
+    """`x_velocity`, and `y_velocity` where the root is free: (M,) float64, m/s."""
+    terms: Reward
+    """Terms of the rewards; of an unstable step they are what they would be without its reward of 0."""
 
 
 class BatchPhysics:
@@ -37,8 +43,10 @@ class BatchPhysics:
     Gives the bits of N single environments, at any number of threads: the same rules on the same substeps.
 
     Attributes:
-        qpos: (N, nq) float64, live: writing it sets the states.
-        qvel: (N, nv) float64, live.
+        states: (N, X) float64, qpos and then qvel, live: writing it sets the states.
+        qpos: (N, nq) float64, live, the first part of `states`.
+        qvel: (N, nv) float64, live, the rest of it.
+        reference_qpos: (nq,) float64, the robot's pose before the noise of a start.
         action_limit: (A,) float64, the highest action; every robot's lowest is its negative.
     """
 
@@ -60,16 +68,23 @@ class BatchPhysics:
                 models[id(drawn)] = compile_nominal(robot, contact_forces=self._touch)
                 apply_dynamics(robot, models[id(drawn)], drawn)
         self._models = [models[id(drawn)] for drawn in dynamics]
+        model = self._models[0]
         self._substeps = robot_class.substeps
-        self._dt = self._models[0].opt.timestep * self._substeps
-        self._low, self.action_limit = self._models[0].actuator_ctrlrange.T
-        self._batch = Batch(self._models[0], nsim=len(dynamics), nthread=threads)
+        self._stage = mujoco.mjtStage.mjSTAGE_ACC if self._touch else mujoco.mjtStage.mjSTAGE_NONE
+        self._duration = float(model.opt.timestep * self._substeps)
+        self._low, self.action_limit = model.actuator_ctrlrange.T.copy()
+        self.reference_qpos: Array = model.qpos0.copy()
+        self._batch = Batch(model, nsim=len(dynamics), nthread=threads)
         self._batch.set_models(self._models)
+        # a row of the batch's state begins with the time, qpos and qvel: one copy takes a whole physics state
+        self.states: Array = self._batch.state[:, 1 : 1 + model.nq + model.nv]
         self.qpos: Array = self._batch.bind("qpos")
         self.qvel: Array = self._batch.bind("qvel")
         self._ctrl: Array = self._batch.bind("ctrl")
         self._warmstart: Array = self._batch.bind("qacc_warmstart")
         self._forces: Array | None = self._batch.bind("cfrc_ext") if self._touch else None
+        self._bad_states: NDArray[np.integer[Any]] = self._batch.warning[:, BAD_STATE, 1]  # live
+        self._bad_seen = self._bad_states.sum(axis=1)
 
     def __len__(self) -> int:
         return int(self._batch.nsim)
@@ -85,10 +100,11 @@ class BatchPhysics:
 
         Returns the observations, (M, S) float64: those of a single environment reset with the generator's seed.
         """
-        reference, velocities = self._models[0].qpos0, self._models[0].nv
+        positions, velocities = len(self.reference_qpos), self.qvel.shape[1]
         for simulation, rng in zip(simulations, rngs, strict=True):
-            self.qpos[simulation], self.qvel[simulation] = initial_state(self.rules, reference, velocities, rng)
-        return observe(self.rules, self.qpos[simulations], self.qvel[simulations])
+            qpos, qvel = initial_state(self.rules, self.reference_qpos, velocities, rng)
+            self.qpos[simulation], self.qvel[simulation] = qpos, qvel
+        return observe(self.rules, self.states[simulations], positions)
 
     def step(
         self, actions: NDArray[np.floating[Any]], simulations: NDArray[np.integer[Any]] | None = None
@@ -98,34 +114,46 @@ class BatchPhysics:
         Raises:
             ValueError: actions of another shape, or not finite; no physics has run.
         """
-        rows = np.arange(len(self)) if simulations is None else simulations
+        # a slice copies a third as fast again as an array of all indices does, and most steps are of all
+        rows: Any = slice(None) if simulations is None else simulations
+        ctrl = self._control(actions, len(self) if simulations is None else len(simulations))
+        before = self.states[rows].copy()
+        self._warmstart[rows] = 0.0
+        self._ctrl[rows] = ctrl
+        self._batch.step(ids=simulations, nstep=self._substeps, stage=self._stage)
+        unstable = self._unstable(rows, len(ctrl))
+        if unstable.any():
+            restored = self.states[rows]
+            restored[unstable] = before[unstable]
+            self.states[rows] = restored
+        states = self.states[rows].copy()
+        healthy = np.asarray(self.rules.healthy(self.rules, states))
+        velocities = velocity_info(self.rules, before, states, self._duration)
+        forces = None if self._forces is None else self._forces[rows]
+        terms = reward(self.rules, velocities["x_velocity"], healthy, ctrl, forces)
+        rewards = np.asarray(terms.total, dtype=np.float64)
+        rewards[unstable] = 0.0
+        terminated = ~healthy | unstable if self.rules.terminate_when_unhealthy else unstable.copy()
+        observations = observe(self.rules, states, len(self.reference_qpos))
+        return Transition(observations, rewards, terminated, unstable, states, velocities, terms)
+
+    def _control(self, actions: NDArray[np.floating[Any]], simulations: int) -> Array:
+        """The actions as the actuators get them, (M, A) float64."""
         ctrl = np.asarray(actions, dtype=np.float64)
-        if ctrl.shape != (len(rows), self._ctrl.shape[1]):
-            raise ValueError(f"actions have shape {ctrl.shape}: give {(len(rows), self._ctrl.shape[1])}")
+        if ctrl.shape != (simulations, len(self._low)):
+            raise ValueError(f"actions have shape {ctrl.shape}: give {(simulations, len(self._low))}")
         if not np.isfinite(ctrl).all():
             bad = int(np.flatnonzero(~np.isfinite(ctrl).all(axis=1))[0])
             raise ValueError(f"action {bad} is not finite: {ctrl[bad]}")
-        ctrl = np.clip(ctrl, self._low, self.action_limit)
-        before = self.qpos[rows], self.qvel[rows]
-        unstable = self._advance(rows, ctrl)
-        if unstable.any():
-            self.qpos[rows[unstable]], self.qvel[rows[unstable]] = before[0][unstable], before[1][unstable]
-        qpos, qvel = self.qpos[rows], self.qvel[rows]
-        velocity = (qpos[:, 0] - before[0][:, 0]) / self._dt
-        healthy = self.rules.healthy(self.rules, qpos, qvel)
-        forces = None if self._forces is None else self._forces[rows]
-        total = reward(self.rules, velocity, healthy, ctrl, forces).total
-        ended = ~healthy if self.rules.terminate_when_unhealthy else np.zeros_like(healthy)
-        observations = observe(self.rules, qpos, qvel)
-        return Transition(observations, np.where(unstable, 0.0, total), ended | unstable, unstable)
+        clipped: Array = np.minimum(np.maximum(ctrl, self._low), self.action_limit)
+        return clipped
 
-    def _advance(self, rows: NDArray[np.integer[Any]], ctrl: Array) -> NDArray[np.bool_]:
-        self._warmstart[rows] = 0.0
-        self._ctrl[rows] = ctrl
-        before = self.warnings[:, BAD_STATE_WARNINGS].sum(axis=1)
-        stage = mujoco.mjtStage.mjSTAGE_ACC if self._touch else mujoco.mjtStage.mjSTAGE_NONE
-        everyone = len(rows) == len(self)
-        self._batch.step(ids=None if everyone else rows, nstep=self._substeps, stage=stage)
-        after = self.warnings[:, BAD_STATE_WARNINGS].sum(axis=1)
-        unstable: NDArray[np.bool_] = (after != before)[rows]
+    def _unstable(self, rows: Any, simulations: int) -> NDArray[np.bool_]:
+        """Which of the simulations (M,) just stepped have had a bad state: their count of warnings has grown."""
+        counts = self._bad_states.sum(axis=1)
+        grown = counts != self._bad_seen
+        if not grown.any():
+            return np.zeros(simulations, dtype=np.bool_)
+        self._bad_seen = counts
+        unstable: NDArray[np.bool_] = grown[rows]
         return unstable

@@ -32,9 +32,13 @@ class HalfCheetah(RandomDynamics, half_cheetah_v5.HalfCheetahEnv):
     | 14, 15, 16 | angular velocities of the front thigh, shin, foot | qvel[6:9] | rad/s |
 
     Reward of a step: `v − 0.1‖a‖²`, with v the root's displacement along x over the step's duration (m/s) and a the
-    action clipped to its range. The episode never terminates.
+    action clipped to its range.
+
+    The episode never terminates.
 
     Start: standing, qpos moved by Uniform(−0.1, 0.1) and qvel by 0.1 · Normal(0, 1), each element.
+
+    Beside Gymnasium's HalfCheetah-v5: observation, reward, termination and start of the nominal robot are the same.
     """
 
     robot = "HalfCheetah"

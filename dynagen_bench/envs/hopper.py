@@ -37,7 +37,9 @@ class Hopper(RandomDynamics, hopper_v5.HopperEnv):
     The episode terminates at a state that is not healthy: height not above 0.7 m, pitch not inside ±0.2 rad, or an
     element of (qpos[2:], qvel) not inside ±100.
 
-    Start: standing, each element of qpos and qvel moved by Uniform(−0.005, 0.005).
+    Start: standing, each element of qpos and qvel moved by Uniform(−0.005, 0.005), m, rad, m/s and rad/s.
+
+    Beside Gymnasium's Hopper-v5: observation, reward, termination and start of the nominal robot are the same.
     """
 
     robot = "Hopper"

@@ -1,42 +1,41 @@
 """Observation, reward and termination as functions of physics states, for one state or many.
 
-What is here: `Rules` (the numbers of one robot) and the functions that read them. Called by the single environment; any
-leading batch shape `...` goes through unchanged, so that N environments at once use the same lines. It must not know
-MuJoCo, Gymnasium, dynamics or episodes.
+What is here: `Rules` (the numbers of one robot) and the functions that read them. Called by the single environment
+with a state (X,), qpos and then qvel, and by the batch with N of them, (N, X): both use the same lines. Below `...` is
+either nothing or N. It must not know MuJoCo, Gymnasium, dynamics or episodes.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Healthy = Callable[["Rules", Array, Array], NDArray[np.bool_]]
+Values = NDArray[np.floating[Any]] | np.floating[Any]
+Flags = NDArray[np.bool_] | np.bool_
+Healthy = Callable[["Rules", Array], Flags]
 
 
-def always_healthy(rules: "Rules", qpos: Array, qvel: Array) -> NDArray[np.bool_]:
+def always_healthy(rules: "Rules", states: Array) -> Flags:
     """Healthiness of a robot that has none: True for each state."""
-    return np.ones(qpos.shape[:-1], dtype=np.bool_)
+    return np.ones(len(states), dtype=np.bool_) if states.ndim > 1 else np.bool_(True)
 
 
-def upright_healthy(rules: "Rules", qpos: Array, qvel: Array) -> NDArray[np.bool_]:
-    """Planar robots: height, pitch and all states strictly inside their ranges (Gymnasium Hopper-v5, Walker2d-v5)."""
-    low, high = rules.healthy_state_range
-    inside: NDArray[np.bool_] = np.asarray(((low < qpos[..., 2:]) & (qpos[..., 2:] < high)).all(axis=-1))
-    inside &= ((low < qvel) & (qvel < high)).all(axis=-1)
-    height, pitch = qpos[..., 1], qpos[..., 2]
-    inside &= (rules.healthy_z_range[0] < height) & (height < rules.healthy_z_range[1])
-    inside &= (rules.healthy_angle_range[0] < pitch) & (pitch < rules.healthy_angle_range[1])
+def upright_healthy(rules: "Rules", states: Array) -> Flags:
+    """Planar robots: height, pitch and all else strictly inside their ranges (Gymnasium Hopper-v5, Walker2d-v5)."""
+    low, high = rules.upright_range(states.shape[-1])
+    inside: Flags = ((low < states) & (states < high))[..., 1:].all(axis=-1)
     return inside
 
 
-def height_healthy(rules: "Rules", qpos: Array, qvel: Array) -> NDArray[np.bool_]:
+def height_healthy(rules: "Rules", states: Array) -> Flags:
     """Robots with a free root: finite, and the height inside its range, ends included (Gymnasium Ant-v5)."""
-    inside: NDArray[np.bool_] = np.asarray(np.isfinite(qpos).all(axis=-1) & np.isfinite(qvel).all(axis=-1))
-    height = qpos[..., 2]
+    height = states.T[2]
+    inside: Flags = np.isfinite(states).all(axis=-1)
     inside &= (rules.healthy_z_range[0] <= height) & (height <= rules.healthy_z_range[1])
     return inside
 
@@ -46,24 +45,27 @@ class Rules:
     """The numbers of one robot's task; fields that Gymnasium's v5 robot has too keep its name and meaning."""
 
     healthy: Healthy = always_healthy
-    """Which states are healthy: called as `rules.healthy(rules, qpos, qvel)`."""
+    """Which states are healthy: called as `rules.healthy(rules, states)`."""
     forward_reward_weight: float = 1.0
     """Reward for a metre a second along x."""
     ctrl_cost_weight: float = 1e-3
-    """Cost of the squared norm of the control that reaches the actuators."""
+    """Cost of the squared norm of the control that reaches the actuators, ‖a‖²."""
     healthy_reward: float = 1.0
     """Reward of a step that ends healthy."""
     contact_cost_weight: float = 0.0
-    """Cost of the squared norm of the clipped contact forces."""
+    """Cost of the squared norm of the clipped contact forces and torques."""
     contact_force_range: tuple[float, float] = (-1.0, 1.0)
     """Range to which contact forces are clipped, N and N m."""
     terminate_when_unhealthy: bool = True
+    """The episode ends at a state that is not healthy."""
     healthy_state_range: tuple[float, float] = (-math.inf, math.inf)
+    """Healthy values of every element of (qpos[2:], qvel), m, rad, m/s and rad/s; of planar robots."""
     healthy_z_range: tuple[float, float] = (-math.inf, math.inf)
     """Healthy heights of the root, m."""
     healthy_angle_range: tuple[float, float] = (-math.inf, math.inf)
-    """Healthy pitch of the root, rad."""
+    """Healthy pitch of the root, rad; of planar robots."""
     exclude_current_positions_from_observation: bool = True
+    """The position along the ground is not observed."""
     hidden_positions: int = 1
     """How many first elements of qpos are the position along the ground."""
     velocity_limit: float = math.inf
@@ -73,17 +75,36 @@ class Rules:
     normal_velocity_noise: bool = False
     """The first velocities are scale · Normal(0, 1) and not Uniform(−scale, scale), m/s and rad/s."""
 
+    def upright_range(self, size: int) -> tuple[Array, Array]:
+        """Lowest and highest healthy state of a planar robot, two arrays (X,), X = `size`; made once, then kept.
+
+        Their first element, the position along the ground, has no meaning: nothing is asked of it.
+        """
+        if size not in self._upright_ranges:
+            low, high = (np.full(size, limit) for limit in self.healthy_state_range)
+            low[1], high[1] = self.healthy_z_range
+            # two ranges hold the pitch: the inner end of each counts
+            low[2] = max(low[2], self.healthy_angle_range[0])
+            high[2] = min(high[2], self.healthy_angle_range[1])
+            self._upright_ranges[size] = low, high
+        return self._upright_ranges[size]
+
+    @functools.cached_property
+    def _upright_ranges(self) -> dict[int, tuple[Array, Array]]:
+        return {}
+
 
 class Reward(NamedTuple):
     """Terms of a reward, each of the batch's shape; `total` is their sum in this order."""
 
-    forward: Array
-    survive: Array
-    ctrl: Array
-    contact: Array
+    forward: Values
+    survive: Values
+    ctrl: Values
+    contact: Values
+    """One 0 for all where contact costs nothing."""
 
     @property
-    def total(self) -> Array:
+    def total(self) -> Values:
         """The reward: forward + survive − control cost − contact cost."""
         return self.forward + self.survive + (self.ctrl + self.contact)
 
@@ -99,16 +120,51 @@ def initial_state(
     return qpos, rng.uniform(low=-scale, high=scale, size=velocities)
 
 
-def observe(rules: Rules, qpos: Array, qvel: Array) -> Array:
-    """Observation (..., S) of states qpos (..., nq), qvel (..., nv): positions but the first ones, then velocities."""
+def observe(rules: Rules, states: Array, positions: int) -> Array:
+    """Observations (..., S) of states (..., X), of which the first `positions` are qpos; a copy.
+
+    Positions but the first ones, then velocities.
+    """
     hidden = rules.hidden_positions if rules.exclude_current_positions_from_observation else 0
-    velocity = np.clip(qvel, -rules.velocity_limit, rules.velocity_limit)
-    return np.concatenate([qpos[..., hidden:], velocity], axis=-1)
+    observations = states[..., hidden:].copy()
+    if rules.velocity_limit != math.inf:
+        velocities = observations[..., positions - hidden :]
+        np.maximum(velocities, -rules.velocity_limit, out=velocities)
+        np.minimum(velocities, rules.velocity_limit, out=velocities)
+    return observations
 
 
-def reward(
-    rules: Rules, velocity: Array, healthy: NDArray[np.bool_], ctrl: Array, contact_forces: Array | None = None
-) -> Reward:
+def position_info(rules: Rules, states: Array, reference_qpos: Array) -> dict[str, Values]:
+    """What `info` says of states (..., X): keys of Gymnasium's v5 robots, values (...), m.
+
+    A planar robot has its place along the ground and its height above the reference pose; one with a free root has
+    both coordinates and the distance from the origin.
+    """
+    if rules.hidden_positions == 1:
+        return {"x_position": states.T[0], "z_distance_from_origin": states.T[1] - reference_qpos[1]}
+    x, y = states.T[0], states.T[1]
+    return {"x_position": x, "y_position": y, "distance_from_origin": np.sqrt(x * x + y * y)}
+
+
+def velocity_info(rules: Rules, before: Array, after: Array, duration: float) -> dict[str, Values]:
+    """What `info` says of steps of `duration` seconds between states (..., X): mean velocities (...), m/s."""
+    velocities = {"x_velocity": (after.T[0] - before.T[0]) / duration}
+    if rules.hidden_positions > 1:
+        velocities["y_velocity"] = (after.T[1] - before.T[1]) / duration
+    return velocities
+
+
+def reward_info(terms: "Reward") -> dict[str, Values]:
+    """What `info` says of a reward: its terms."""
+    return {
+        "reward_forward": terms.forward,
+        "reward_ctrl": terms.ctrl,
+        "reward_survive": terms.survive,
+        "reward_contact": terms.contact,
+    }
+
+
+def reward(rules: Rules, velocity: Values, healthy: Flags, ctrl: Array, contact_forces: Array | None = None) -> Reward:
     """Reward of steps.
 
     Args:
@@ -118,19 +174,22 @@ def reward(
         ctrl: (..., A), the control that reached the actuators.
         contact_forces: (..., nbody, 6), N m and N at the new state (`cfrc_ext`); None where they cost nothing.
     """
-    contact = np.zeros_like(velocity)
+    contact: Values = _NOTHING
     if contact_forces is not None:
         clipped = np.clip(contact_forces, *rules.contact_force_range)
         contact = -rules.contact_cost_weight * _sum_of_squares(clipped.reshape(*clipped.shape[:-2], -1))
     return Reward(
         forward=rules.forward_reward_weight * velocity,
-        survive=rules.healthy_reward * healthy.astype(np.float64),
+        survive=rules.healthy_reward * healthy,
         ctrl=-rules.ctrl_cost_weight * _sum_of_squares(ctrl),
         contact=contact,
     )
 
 
-def _sum_of_squares(values: Array) -> Array:
+_NOTHING: Final = np.float64(0.0)
+
+
+def _sum_of_squares(values: Array) -> Values:
     # einsum adds one row in the same order whatever the number of rows: a batch gives the bits of its members
-    total: Array = np.einsum("...i,...i->...", values, values)
+    total: Values = np.einsum("...i,...i->...", values, values)
     return total

@@ -5,6 +5,7 @@ horizon (Gymnasium's `TimeLimit` has it), data or agents.
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -16,7 +17,16 @@ from numpy.typing import NDArray
 
 from dynagen_bench import ids
 from dynagen_bench.dynamics import Dynamics, apply_dynamics, compile_nominal, load_dynamics
-from dynagen_bench.envs.rules import Array, Rules, initial_state, observe, reward
+from dynagen_bench.envs.rules import (
+    Array,
+    Rules,
+    initial_state,
+    observe,
+    position_info,
+    reward,
+    reward_info,
+    velocity_info,
+)
 
 RENDER_KEYWORDS = (
     "render_mode",
@@ -29,15 +39,8 @@ RENDER_KEYWORDS = (
     "visual_options",
 )
 
-BAD_STATE_WARNINGS = [
-    int(warning)
-    for warning in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-]
-"""After one of these MuJoCo resets the simulation by itself, in the middle of an episode."""
+BAD_STATE = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
+"""The warnings BADQPOS, BADQVEL, BADQACC; after one MuJoCo resets the simulation by itself, mid-episode."""
 
 
 class RandomDynamics(MujocoEnv, utils.EzPickle):
@@ -51,12 +54,14 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
         robot: name of the robot, one of `ids.ROBOTS`.
         substeps: physics steps in a control step; Gymnasium's frame skip of that robot.
         default_rules: the task's numbers; a keyword argument of a field's name overrides it.
+        tendons: whether `info` has their lengths and velocities, as Gymnasium's class of the robot.
         base_keywords: what Gymnasium's class has to be told to give our observation.
     """
 
     robot: ClassVar[str]
     substeps: ClassVar[int]
     default_rules: ClassVar[Rules]
+    tendons: ClassVar[bool] = False
     base_keywords: ClassVar[Mapping[str, Any]] = {}
 
     def __init__(
@@ -98,6 +103,12 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
         super().__init__(  # type: ignore[call-arg] # the next class is the robot's, which takes these
             frame_skip=self.substeps, exclude_current_positions_from_observation=hide, **self.base_keywords, **base
         )
+        self._duration = float(self.dt)
+        self._low, self._high = self.model.actuator_ctrlrange.T.copy()
+        # live arrays, asked for once: asking MuJoCo's bindings costs as much as what is done with the answer
+        self._qpos, self._qvel, self._forces = self.data.qpos, self.data.qvel, self.data.cfrc_ext
+        self._ctrl, self._warmstart = self.data.ctrl, self.data.qacc_warmstart
+        self._bad_states: NDArray[np.int32] = self.data.warning.number[BAD_STATE]
         # Gymnasium's class has stored its own arguments for pickling: ours replace them
         utils.EzPickle.__init__(self, split=split, index=index, dynamics=dynamics, **kwargs)
 
@@ -125,10 +136,22 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
         return self._get_obs()
 
     def _get_obs(self) -> Array:
-        return observe(self.rules, self.data.qpos, self.data.qvel)
+        return observe(self.rules, self._state(), len(self._qpos))
+
+    def _state(self) -> Array:
+        """The physics state (X,): qpos, then qvel."""
+        return np.concatenate((self._qpos, self._qvel))
 
     def _get_reset_info(self) -> dict[str, Any]:
-        return {**super()._get_reset_info(), "dynamics_index": self.dynamics_index}
+        return self._info(self._state()) | {"dynamics_index": self.dynamics_index}
+
+    def _info(self, state: Array) -> dict[str, Any]:
+        """What `info` says of a state, at reset and after every step."""
+        info: dict[str, Any] = position_info(self.rules, state, self.init_qpos)
+        if self.tendons:
+            info["tendon_length"] = self.data.ten_length.copy()
+            info["tendon_velocity"] = self.data.ten_velocity.copy()
+        return info
 
     def step(  # type: ignore[override] # Gymnasium declares numpy floats in info, and puts arrays there itself
         self, action: NDArray[np.floating[Any]]
@@ -145,54 +168,44 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
         Raises:
             ValueError: the action has another shape, or a value in it is not finite; no physics has run.
         """
-        before = self.data.qpos.copy(), self.data.qvel.copy()
+        before = self._state()
         ctrl = self._control(action)
         stable = self._advance(ctrl)
         if not stable:
-            self.set_state(*before)  # type: ignore[no-untyped-call]
-        qpos, qvel = self.data.qpos, self.data.qvel
-        velocity = np.asarray((qpos[0] - before[0][0]) / self.dt)
-        healthy = self.rules.healthy(self.rules, qpos, qvel)
-        forces = self.data.cfrc_ext if self.rules.contact_cost_weight else None
-        terms = reward(self.rules, velocity, healthy, ctrl, forces)
+            self.set_state(*np.split(before, [self.model.nq]))  # type: ignore[no-untyped-call]
+        state = self._state()
+        healthy = self.rules.healthy(self.rules, state)
+        velocities = velocity_info(self.rules, before, state, self._duration)
+        forces = self._forces if self.rules.contact_cost_weight else None
+        terms = reward(self.rules, velocities["x_velocity"], healthy, ctrl, forces)
         terminated = not stable or (self.rules.terminate_when_unhealthy and not healthy)
-        info = super()._get_reset_info() | self._velocity_info(before[0])
-        info |= {
-            "reward_forward": float(terms.forward),
-            "reward_ctrl": float(terms.ctrl),
-            "reward_survive": float(terms.survive),
-            "reward_contact": float(terms.contact),
-        }
+        info = self._info(state)
+        for key, value in (velocities | reward_info(terms)).items():
+            info[key] = float(value)
         if not stable:
             info["unstable"] = True
         if self.render_mode == "human":
             self.render()  # type: ignore[no-untyped-call]
-        return self._get_obs(), float(terms.total) if stable else 0.0, bool(terminated), False, info
+        observation = observe(self.rules, state, len(self._qpos))
+        return observation, float(terms.total) if stable else 0.0, bool(terminated), False, info
 
     def _control(self, action: NDArray[np.floating[Any]]) -> Array:
         ctrl = np.asarray(action, dtype=np.float64)
-        if ctrl.shape != (self.model.nu,):
-            raise ValueError(f"action has shape {ctrl.shape}: {self.robot} takes ({self.model.nu},)")
-        if not np.isfinite(ctrl).all():
+        if ctrl.shape != self._low.shape:
+            raise ValueError(f"action has shape {ctrl.shape}: {self.robot} takes {self._low.shape}")
+        # the sum of finite numbers is finite, but for absurd ones, and cheaper to look at than an array of flags
+        if not math.isfinite(sum(ctrl.tolist())) and not np.isfinite(ctrl).all():
             raise ValueError(f"action {ctrl} is not finite: give numbers from {self.robot}'s action space")
-        low, high = self.model.actuator_ctrlrange.T
-        clipped: Array = np.clip(ctrl, low, high)
+        clipped: Array = np.minimum(np.maximum(ctrl, self._low), self._high)
         return clipped
 
     def _advance(self, ctrl: Array) -> bool:
         """Run the substeps; True if MuJoCo reported no bad state."""
-        data = self.data
-        data.qacc_warmstart[:] = 0.0
-        data.ctrl[:] = ctrl
-        warnings = data.warning.number
-        warnings[BAD_STATE_WARNINGS] = 0
-        mujoco.mj_step(self.model, data, nstep=self.frame_skip)
+        self._warmstart[:] = 0.0
+        self._ctrl[:] = ctrl
+        self._bad_states[:] = 0
+        mujoco.mj_step(self.model, self.data, nstep=self.frame_skip)
         if self.rules.contact_cost_weight:
-            mujoco.mj_forward(self.model, data)
-            mujoco.mj_rnePostConstraint(self.model, data)
-        return not data.warning.number[BAD_STATE_WARNINGS].any()
-
-    def _velocity_info(self, qpos_before: Array) -> dict[str, Any]:
-        hidden = self.rules.hidden_positions
-        velocity = (self.data.qpos[:hidden] - qpos_before[:hidden]) / self.dt
-        return {f"{axis}_velocity": float(v) for axis, v in zip("xy", velocity, strict=False)}
+            mujoco.mj_forward(self.model, self.data)
+            mujoco.mj_rnePostConstraint(self.model, self.data)
+        return not any(self._bad_states.tolist())

@@ -42,9 +42,14 @@ class SlimHumanoid(RandomDynamics, humanoid_v5.HumanoidEnv):
     | 28 to 44 | angular velocities of the joints, in the order of their angles | qvel[6:23] | rad/s |
 
     Reward of a step: `1.25 v − 0.1‖a‖² + 5·[1 ≤ z ≤ 2]`, with v the root's displacement along x over the step's duration
-    (m/s), z the torso's height at the new state (m) and a the action clipped to its range. The episode never terminates.
+    (m/s), z the torso's height at the new state (m) and a the action clipped to its range.
 
-    Start: standing, each element of qpos and qvel moved by Uniform(−0.01, 0.01).
+    The episode never terminates.
+
+    Start: standing, each element of qpos and qvel moved by Uniform(−0.01, 0.01), m, rad, m/s and rad/s.
+
+    Beside Gymnasium's Humanoid-v5: the observation has 45 elements of its 348, v is that of the root and not of the mass
+    centre, the bonus includes the ends of its range, contact costs nothing, and the episode does not terminate.
     """
 
     robot = "SlimHumanoid"
@@ -59,6 +64,7 @@ class SlimHumanoid(RandomDynamics, humanoid_v5.HumanoidEnv):
         hidden_positions=2,
         reset_noise_scale=1e-2,
     )
+    tendons = True
     base_keywords: ClassVar = {
         "include_cinert_in_observation": False,
         "include_cvel_in_observation": False,

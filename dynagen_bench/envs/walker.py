@@ -36,7 +36,9 @@ class Walker(RandomDynamics, walker2d_v5.Walker2dEnv):
 
     The episode terminates at a state that is not healthy: height not inside 0.8 to 2 m, or pitch not inside ±1 rad.
 
-    Start: standing, each element of qpos and qvel moved by Uniform(−0.005, 0.005).
+    Start: standing, each element of qpos and qvel moved by Uniform(−0.005, 0.005), m, rad, m/s and rad/s.
+
+    Beside Gymnasium's Walker2d-v5: observation, reward, termination and start of the nominal robot are the same.
     """
 
     robot = "Walker"
