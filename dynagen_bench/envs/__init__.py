@@ -9,8 +9,18 @@ from dynagen_bench.envs.batch import BatchPhysics, Transition
 from dynagen_bench.envs.robots import ROBOT_CLASSES
 from dynagen_bench.envs.rules import Rules
 from dynagen_bench.envs.single import RandomDynamics
+from dynagen_bench.envs.vector import RandomDynamicsVector
 
-__all__ = ["HORIZON", "ROBOT_CLASSES", "BatchPhysics", "RandomDynamics", "Rules", "Transition", "register_environments"]
+__all__ = [
+    "HORIZON",
+    "ROBOT_CLASSES",
+    "BatchPhysics",
+    "RandomDynamics",
+    "RandomDynamicsVector",
+    "Rules",
+    "Transition",
+    "register_environments",
+]
 
 HORIZON: Final = 200
 """Steps after which an episode is truncated (paper, section 5.1)."""
@@ -24,4 +34,10 @@ def register_environments() -> None:
         names |= {name.env_id: {"split": name.split, "index": name.index} for name in ids.dynamics_ids(robot)}
         for env_id, kwargs in names.items():
             if env_id not in gymnasium.registry:
-                gymnasium.register(env_id, entry_point=entry_point, max_episode_steps=HORIZON, kwargs=kwargs)
+                gymnasium.register(
+                    env_id,
+                    entry_point=entry_point,
+                    vector_entry_point=f"{RandomDynamicsVector.__module__}:{robot}",
+                    max_episode_steps=HORIZON,
+                    kwargs=kwargs,
+                )

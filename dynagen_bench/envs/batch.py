@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dynagen_bench.dynamics import Dynamics, apply_dynamics, compile_nominal
 from dynagen_bench.envs.robots import ROBOT_CLASSES
-from dynagen_bench.envs.rules import Array, Reward, Values, initial_state, observe, reward, velocity_info
+from dynagen_bench.envs.rules import Array, Reward, Rules, Values, initial_state, observe, reward, velocity_info
 from dynagen_bench.envs.single import BAD_STATE
 
 
@@ -50,8 +50,14 @@ class BatchPhysics:
         action_limit: (A,) float64, the highest action; every robot's lowest is its negative.
     """
 
-    def __init__(self, robot: str, dynamics: Sequence[Dynamics], threads: int = 0) -> None:
-        """Compile one model a distinct dynamics. `threads` 0 takes all processors.
+    def __init__(self, robot: str, dynamics: Sequence[Dynamics], threads: int = 0, rules: Rules | None = None) -> None:
+        """Compile one model a distinct dynamics.
+
+        Args:
+            robot: one of `ids.ROBOTS`.
+            dynamics: one a simulation; the same object for several of them is compiled once.
+            threads: physics threads, 0 for all processors; the bits are the same at any number.
+            rules: the task's numbers, the robot's own if None.
 
         Raises:
             ValueError: an unknown robot, no dynamics, or dynamics that name elements the robot does not have.
@@ -60,14 +66,10 @@ class BatchPhysics:
             raise ValueError("no dynamics given: a batch needs at least one")
         robot_class = ROBOT_CLASSES[robot]
         self.robot = robot
-        self.rules = robot_class.default_rules
+        self.rules = robot_class.default_rules if rules is None else rules
         self._touch = self.rules.contact_cost_weight > 0
-        models: dict[int, mujoco.MjModel] = {}
-        for drawn in dynamics:
-            if id(drawn) not in models:
-                models[id(drawn)] = compile_nominal(robot, contact_forces=self._touch)
-                apply_dynamics(robot, models[id(drawn)], drawn)
-        self._models = [models[id(drawn)] for drawn in dynamics]
+        self._compiled: dict[int, tuple[Dynamics, mujoco.MjModel]] = {}
+        self._models = [self._model(drawn) for drawn in dynamics]
         model = self._models[0]
         self._substeps = robot_class.substeps
         self._stage = mujoco.mjtStage.mjSTAGE_ACC if self._touch else mujoco.mjtStage.mjSTAGE_NONE
@@ -95,6 +97,28 @@ class BatchPhysics:
         counts: NDArray[np.integer[Any]] = self._batch.warning[:, :, 1]
         return counts
 
+    def bind(self, field: str) -> Array:
+        """A live, read-only (N, ...) array of a field that MuJoCo derives; a step leaves it one substep behind."""
+        derived: Array = self._batch.bind(field)
+        return derived
+
+    def derive(self, simulations: NDArray[np.integer[Any]]) -> None:
+        """Bring what is bound up to date with the states of simulations (M,)."""
+        self._batch.forward(simulations, stage=mujoco.mjtStage.mjSTAGE_VEL)
+
+    def assign(self, simulations: NDArray[np.integer[Any]], dynamics: Sequence[Dynamics]) -> None:
+        """Give simulations (M,) other dynamics; their states stay."""
+        for simulation, drawn in zip(simulations, dynamics, strict=True):
+            self._models[simulation] = self._model(drawn)
+        self._batch.set_models(self._models)
+
+    def _model(self, dynamics: Dynamics) -> mujoco.MjModel:
+        if id(dynamics) not in self._compiled:
+            model = compile_nominal(self.robot, contact_forces=self._touch)
+            apply_dynamics(self.robot, model, dynamics)
+            self._compiled[id(dynamics)] = dynamics, model  # kept with the model: an id is of a living object
+        return self._compiled[id(dynamics)][1]
+
     def start(self, simulations: NDArray[np.integer[Any]], rngs: Sequence[np.random.Generator]) -> Array:
         """Put simulations (M,) at the start of an episode, each drawn from its own generator.
 
@@ -116,7 +140,9 @@ class BatchPhysics:
         """
         # a slice copies a third as fast again as an array of all indices does, and most steps are of all
         rows: Any = slice(None) if simulations is None else simulations
-        ctrl = self._control(actions, len(self) if simulations is None else len(simulations))
+        count = len(self) if simulations is None else len(simulations)
+        ctrl = checked_actions(actions, (count, len(self._low)))
+        ctrl = np.minimum(np.maximum(ctrl, self._low), self.action_limit)
         before = self.states[rows].copy()
         self._warmstart[rows] = 0.0
         self._ctrl[rows] = ctrl
@@ -137,17 +163,6 @@ class BatchPhysics:
         observations = observe(self.rules, states, len(self.reference_qpos))
         return Transition(observations, rewards, terminated, unstable, states, velocities, terms)
 
-    def _control(self, actions: NDArray[np.floating[Any]], simulations: int) -> Array:
-        """The actions as the actuators get them, (M, A) float64."""
-        ctrl = np.asarray(actions, dtype=np.float64)
-        if ctrl.shape != (simulations, len(self._low)):
-            raise ValueError(f"actions have shape {ctrl.shape}: give {(simulations, len(self._low))}")
-        if not np.isfinite(ctrl).all():
-            bad = int(np.flatnonzero(~np.isfinite(ctrl).all(axis=1))[0])
-            raise ValueError(f"action {bad} is not finite: {ctrl[bad]}")
-        clipped: Array = np.minimum(np.maximum(ctrl, self._low), self.action_limit)
-        return clipped
-
     def _unstable(self, rows: Any, simulations: int) -> NDArray[np.bool_]:
         """Which of the simulations (M,) just stepped have had a bad state: their count of warnings has grown."""
         counts = self._bad_states.sum(axis=1)
@@ -157,3 +172,14 @@ class BatchPhysics:
         self._bad_seen = counts
         unstable: NDArray[np.bool_] = grown[rows]
         return unstable
+
+
+def checked_actions(actions: NDArray[np.floating[Any]], shape: tuple[int, ...]) -> Array:
+    """The actions (M, A) as float64; raises ValueError if they have another shape, or one of them is not finite."""
+    checked = np.asarray(actions, dtype=np.float64)
+    if checked.shape != shape:
+        raise ValueError(f"actions have shape {checked.shape}: give {shape}")
+    if not np.isfinite(checked).all():
+        bad = int(np.flatnonzero(~np.isfinite(checked).all(axis=1))[0])
+        raise ValueError(f"action {bad} is not finite: {checked[bad]}")
+    return checked

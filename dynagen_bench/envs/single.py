@@ -83,11 +83,7 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
             ValueError: an unknown split, index or element, or `dynamics` beside `split` or `index`.
             TypeError: an unknown keyword.
         """
-        rule_names = [field.name for field in dataclasses.fields(Rules) if field.name != "healthy"]
-        unknown = sorted(set(kwargs) - set(rule_names) - set(RENDER_KEYWORDS))
-        if unknown:
-            allowed = ", ".join(["split", "index", "dynamics", *RENDER_KEYWORDS, *rule_names])
-            raise TypeError(f"{self.robot} has no keyword {unknown[0]!r}: choose from {allowed}")
+        self.rules, base = keywords(type(self), kwargs)
         if dynamics is not None and (split is not None or index is not None):
             raise ValueError("give either dynamics= or split= and index=, not both")
         self._own = None if dynamics is None else Dynamics.from_json(dynamics)
@@ -95,10 +91,8 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
         self._index = 0 if self._split == "nominal" and index is None else index
         if self._index is not None:
             ids.check_index(self._split, self._index)
-        self.rules = dataclasses.replace(self.default_rules, **{k: kwargs[k] for k in rule_names if k in kwargs})
         self.dynamics_index = -1
 
-        base = {key: kwargs[key] for key in RENDER_KEYWORDS if key in kwargs}
         hide = self.rules.exclude_current_positions_from_observation
         super().__init__(  # type: ignore[call-arg] # the next class is the robot's, which takes these
             frame_skip=self.substeps, exclude_current_positions_from_observation=hide, **self.base_keywords, **base
@@ -209,3 +203,18 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
             mujoco.mj_forward(self.model, self.data)
             mujoco.mj_rnePostConstraint(self.model, self.data)
         return not any(self._bad_states.tolist())
+
+
+def keywords(robot_class: type[RandomDynamics], given: Mapping[str, Any]) -> tuple[Rules, dict[str, Any]]:
+    """The rules of a robot with what is given of them, and the rendering keywords among `given`.
+
+    Raises:
+        TypeError: an unknown keyword.
+    """
+    rule_names = [field.name for field in dataclasses.fields(Rules) if field.name != "healthy"]
+    unknown = sorted(set(given) - set(rule_names) - set(RENDER_KEYWORDS))
+    if unknown:
+        allowed = ", ".join(["split", "index", "dynamics", *RENDER_KEYWORDS, *rule_names])
+        raise TypeError(f"{robot_class.robot} has no keyword {unknown[0]!r}: choose from {allowed}")
+    rules = dataclasses.replace(robot_class.default_rules, **{k: given[k] for k in rule_names if k in given})
+    return rules, {key: given[key] for key in RENDER_KEYWORDS if key in given}
