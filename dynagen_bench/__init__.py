@@ -3,7 +3,14 @@
 Importing it registers the environments. These are the public names; the rest may change between versions.
 """
 
-from dynagen_bench.datasets import Normalization, OfflineDataset, WindowSampler, load_dataset, reference_scores
+from dynagen_bench.datasets import (
+    Normalization,
+    OfflineDataset,
+    WindowSampler,
+    load_adaptation,
+    load_dataset,
+    reference_scores,
+)
 from dynagen_bench.dynamics import Dynamics, draw_dynamics, load_dynamics
 from dynagen_bench.envs import register_environments
 from dynagen_bench.evaluation import Evaluation, Policy, evaluate
@@ -19,6 +26,7 @@ __all__ = [
     "Normalization",
     "OfflineDataset",
     "WindowSampler",
+    "load_adaptation",
     "load_dataset",
     "reference_scores",
     # scores

@@ -19,9 +19,10 @@ from dynagen_bench import ids
 from dynagen_bench.collection.policies import POLICY_FOLDER
 from dynagen_bench.collection.runs import collect as collect_runs
 from dynagen_bench.collection.settings import SACSettings
-from dynagen_bench.datasets import commands, load_dataset
-from dynagen_bench.datasets.cards import data_card
+from dynagen_bench.datasets import commands
+from dynagen_bench.datasets.cards import write_data_card
 from dynagen_bench.dynamics import PARAMETERS, draw_dynamics, factor_array, load_dynamics, nominal_robot
+from dynagen_bench.envs.pages import write_page
 from dynagen_bench.evaluation.baselines import random_submission
 from dynagen_bench.evaluation.submission import write_submission
 
@@ -68,6 +69,16 @@ def dynamics_draw(robot: Robot, seed: int, count: int = 1) -> None:
     ids.check_robot(robot)
     for sequence in np.random.SeedSequence(seed).spawn(count):
         sys.stdout.write(json.dumps(draw_dynamics(robot, np.random.default_rng(sequence)).to_json()) + "\n")
+
+
+def page(robot: Robot, output: Path | None = None) -> None:
+    """Print the page of an environment, in Markdown: how it is made, its tables with units, what varies in it.
+
+    Args:
+        robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
+        output: write it to this file.
+    """
+    write_page(robot, output)
 
 
 def collect(
@@ -131,13 +142,9 @@ def data_card_page(robot: Robot, output: Path | None = None) -> None:
 
     Args:
         robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
-        output: write it to this file.
+        output: write it to this file, and its two charts beside it.
     """
-    card = data_card(robot, {split: load_dataset(robot, split) for split in ("train", "test")})
-    if output is None:
-        sys.stdout.write(card)
-    else:
-        output.write_text(card, encoding="utf-8")
+    write_data_card(robot, output)
 
 
 def baseline(robot: Robot, output: Path) -> None:
@@ -153,6 +160,7 @@ def baseline(robot: Robot, output: Path) -> None:
 COMMANDS: dict[str, Callable[..., None]] = {
     "dynamics show": dynamics_show,
     "dynamics draw": dynamics_draw,
+    "page": page,
     "collect": collect,
     "baseline": baseline,
     "data build": data_build,

@@ -1,6 +1,6 @@
 """The data in use: Minari in and out, flat arrays, windows, normalisation, reference scores."""
 
-from dynagen_bench.datasets.flat import OfflineDataset, load_dataset
+from dynagen_bench.datasets.flat import OfflineDataset, load_adaptation, load_dataset
 from dynagen_bench.datasets.normalization import Normalization
 from dynagen_bench.datasets.scores import Reference, normalized_score, reference_scores
 from dynagen_bench.datasets.windows import Windows, WindowSampler
@@ -11,6 +11,7 @@ __all__ = [
     "Reference",
     "WindowSampler",
     "Windows",
+    "load_adaptation",
     "load_dataset",
     "normalized_score",
     "reference_scores",

@@ -1,7 +1,7 @@
 """The offline data of a robot as flat float32 arrays, memory-mapped.
 
-What is here: `OfflineDataset`, its layout, and `load_dataset`. Called by training, evaluation of data, and users. It
-must not know windows, agents or scores, nor how the arrays are cached.
+What is here: `OfflineDataset`, its layout, `load_dataset` and `load_adaptation`. Called by training, fine-tuning,
+evaluation of data, and users. It must not know windows, agents or scores, nor how the arrays are cached.
 
 Each episode takes T + 1 rows: its T steps, and one last row with the final observation, no action and no reward. Two
 episodes of 3 and 2 steps:
@@ -14,25 +14,30 @@ episodes of 3 and 2 steps:
 
     episode_starts    0, 4
     episode_lengths   3, 2
+
+A part of the data (`select`) has the same rows and fewer episodes: no row is copied, and all processes that map the
+same files share their pages. So whoever reads rows goes by the episodes.
 """
 
 import dataclasses
 import warnings
 from collections.abc import Sequence
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
 from dynagen_bench.collection.contents import DatasetRecord, dataset_folder, read_record
-from dynagen_bench.datasets.flat_files import Source, map_arrays
+from dynagen_bench.datasets.flat_files import Source, cache_folder, map_arrays
 from dynagen_bench.datasets.normalization import Normalization, statistics
+from dynagen_bench.datasets.subsets import ADAPTATION_EPISODES, spread_episodes, worst_episodes
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class OfflineDataset:
-    """The data of one split of one robot: M rows, E episodes.
+    """The data of one split of one robot, or a part of them: M rows, E episodes that lie in them.
 
     Attributes:
         robot: name of the robot.
@@ -65,13 +70,18 @@ class OfflineDataset:
     episode_terminated: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
-        """Check that the arrays fit together; raises ValueError naming the first one that does not."""
-        rows = int(self.episode_lengths.sum()) + len(self.episode_lengths)
+        """Check that the arrays fit together and that each episode has rows of its own; raises ValueError if not."""
         for field in dataclasses.fields(self)[2:]:
-            expected = len(self.episode_lengths) if field.name.startswith("episode_") else rows
-            found = len(getattr(self, field.name))
+            model = "episode_lengths" if field.name.startswith("episode_") else "observations"
+            found, expected = len(getattr(self, field.name)), len(getattr(self, model))
             if found != expected:
-                raise ValueError(f"{field.name} has {found} rows: the episode lengths ask for {expected}")
+                raise ValueError(f"{field.name} has {found} rows: {model} has {expected}")
+        at = _misplaced(self.episode_starts, self.episode_lengths, len(self.observations))
+        if at is not None:
+            raise ValueError(
+                f"episode {at} begins in row {self.episode_starts[at]} and has {self.episode_lengths[at]} steps: it "
+                f"leaves the {len(self.observations)} rows, or shares some with another episode"
+            )
 
     @property
     def state_size(self) -> int:
@@ -85,11 +95,28 @@ class OfflineDataset:
 
     @property
     def num_steps(self) -> int:
-        """Number of actions in the data; there are `len(episode_lengths)` more rows."""
+        """Number of actions in the episodes, each of which has one row more."""
         return int(self.episode_lengths.sum())
+
+    @property
+    def is_whole(self) -> bool:
+        """Every row is of an episode: nothing has been left out."""
+        return self.num_steps + len(self.episode_lengths) == len(self.observations)
+
+    def select(self, episodes: NDArray[np.integer[Any]]) -> "OfflineDataset":
+        """The part of the data that has the episodes of these numbers, in this order; no row is copied.
+
+        Raises:
+            ValueError: an episode is asked for twice.
+            IndexError: there is no episode of that number.
+        """
+        fields = [field.name for field in dataclasses.fields(self) if field.name.startswith("episode_")]
+        return dataclasses.replace(self, **{name: getattr(self, name)[episodes] for name in fields})
 
     def normalization(self) -> Normalization:
         """Mean and deviation of the observations that an action was taken at (kzl/decision-transformer: all states).
+
+        Of the episodes that are here: an agent that learns from a part of the data knows no more of the rest.
 
         Raises:
             ValueError: these are test data, which no agent may be normalised by.
@@ -98,13 +125,32 @@ class OfflineDataset:
             raise ValueError(
                 f"this is split {self.split!r}: normalisation is of train data, load_dataset(..., 'train')"
             )
-        chosen = np.ones(len(self.observations), dtype=np.bool_)
-        chosen[self.episode_starts + self.episode_lengths] = False
+        edges = np.zeros(len(self.observations), dtype=np.int8)
+        edges[self.episode_starts] = 1
+        edges[self.episode_starts + self.episode_lengths] -= 1
+        chosen = np.cumsum(edges, dtype=np.int8).astype(np.bool_)  # 1 from a first row to the last that was acted in
         return statistics(self.observations, chosen)
 
 
+def _misplaced(starts: NDArray[np.int64], lengths: NDArray[np.int64], rows: int) -> int | None:
+    """Number of the first episode, by row, that does not have its length + 1 rows to itself, or None."""
+    if (lengths < 0).any():
+        return int(lengths.argmin())
+    order = np.argsort(starts, kind="stable")
+    # from the end of one episode to the beginning of the next; the rows' own beginning and end are the outermost
+    ends = np.concatenate([[0], (starts + lengths + 1)[order]])
+    wrong = np.flatnonzero(np.concatenate([starts[order], [rows]]) < ends)
+    return int(order[max(0, wrong[0] - 1)]) if len(wrong) else None
+
+
 def load_dataset(
-    robot: str, split: str = "train", *, indices: Sequence[int] | None = None, every: int = 1, progress: bool = True
+    robot: str,
+    split: str = "train",
+    *,
+    indices: Sequence[int] | None = None,
+    every: int = 1,
+    quality: float | None = None,
+    progress: bool = True,
 ) -> OfflineDataset:
     """Load the data of a robot; the first time flat arrays are made from the Minari datasets, which takes a while.
 
@@ -113,13 +159,20 @@ def load_dataset(
         split: `train`, or `test` for fine-tuning on test dynamics and for looking at them; training refuses the latter.
         indices: dynamics of the split, in this order; None takes all.
         every: the part of the data that has every n-th snapshot alone (`dynagen data build ROBOT --every 4`).
+        quality: keep this share of the episodes, those of the lowest returns; 0.3 is the paper's low-quality data
+            (figure 5). The share is of all that is asked for here together, not of each dynamics.
         progress: show a progress bar on the error stream while arrays are made.
 
     Raises:
-        ValueError: an unknown robot, split or index, or data that are damaged or of other dynamics.
+        ValueError: an unknown robot, split or index, a `quality` that is no share or of test data, or data that are
+            damaged or of other dynamics.
         FileNotFoundError: a dataset is missing; the message has the command that makes it.
     """
     names = _chosen(robot, split, indices)
+    if quality is not None and split != "train":
+        raise ValueError(
+            f"quality is of train data, not of split {split!r}: the paper's test and adaptation data stay as they are"
+        )
     records = {name: checked_record(name, every) for name in names}
     foreign = sorted({record.mujoco for record in records.values()} - {version("mujoco")})
     if foreign:
@@ -130,7 +183,35 @@ def load_dataset(
         )
     label = f"{robot}-{split}" if every == 1 else f"{robot}-{split}-every{every}"
     sources = [Source(name.index, dataset_folder(name.part_id(every)), record) for name, record in records.items()]
-    return OfflineDataset(robot, split, **map_arrays(label, sources, progress))
+    dataset = OfflineDataset(robot, split, **map_arrays(label, sources, progress))
+    if not dataset.is_whole:
+        raise ValueError(f"the flat arrays of {label} are damaged: empty the cache folder {cache_folder()}")
+    return dataset if quality is None else dataset.select(worst_episodes(dataset.episode_returns, quality))
+
+
+def load_adaptation(
+    robot: str, index: int, *, episodes: int = ADAPTATION_EPISODES, every: int = 1, progress: bool = True
+) -> OfflineDataset:
+    """Load the adaptation set of one test dynamics: the few episodes that an agent may be fine-tuned on for it.
+
+    Always the same ones, spread over the returns of that dynamics' data (`subsets.spread_episodes`). Normalise them as
+    the agent was trained, by its train data. The test data of the robot have to be there, all five.
+
+    Args:
+        robot: one of `ids.ROBOTS`.
+        index: number of the test dynamics.
+        episodes: how many.
+        every: of the part of the data that has every n-th snapshot alone.
+        progress: show a progress bar on the error stream while arrays are made.
+
+    Raises:
+        ValueError: an unknown robot or index, more episodes than there are, or data that are damaged.
+        FileNotFoundError: a dataset is missing; the message has the command that makes it.
+    """
+    ids.make_id(robot, "test", index)
+    test = load_dataset(robot, "test", every=every, progress=progress)
+    numbers = np.flatnonzero(test.episode_dynamics == index)
+    return test.select(numbers[spread_episodes(test.episode_returns[numbers], episodes)])
 
 
 def _chosen(robot: str, split: str, indices: Sequence[int] | None) -> list[ids.DynamicsId]:

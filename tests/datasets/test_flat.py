@@ -173,9 +173,9 @@ def test_bad_arguments(arguments, message):
 
 
 def test_arrays_that_do_not_fit_together_are_refused():
-    with pytest.raises(ValueError, match="actions has 6 rows: the episode lengths ask for 7"):
+    with pytest.raises(ValueError, match="actions has 6 rows: observations has 7"):
         dataclasses.replace(three_step_episodes(), actions=np.zeros((6, 1), dtype=np.float32))
-    with pytest.raises(ValueError, match="episode_seeds has 1 rows: the episode lengths ask for 2"):
+    with pytest.raises(ValueError, match="episode_seeds has 1 rows: episode_lengths has 2"):
         dataclasses.replace(three_step_episodes(), episode_seeds=np.array([1]))
 
 
@@ -202,3 +202,33 @@ def test_normalization_is_of_states_that_were_acted_in():
 def test_an_offline_dataset_needs_no_files():
     assert isinstance(three_step_episodes(), OfflineDataset)
     assert three_step_episodes().num_steps == 5
+
+
+def test_plain_minari_reads_the_episodes(tiny_data):
+    flat = load_dataset("Hopper", "test")
+    dataset = minari.load_dataset("dynagen/Hopper-RandDyn/test1-v0")
+    episodes = list(dataset.iterate_episodes())
+    assert len(episodes) == dataset.total_episodes == 8
+    for episode, number in zip(episodes, np.flatnonzero(flat.episode_dynamics == 1), strict=True):
+        rows = slice(flat.episode_starts[number], flat.episode_starts[number] + flat.episode_lengths[number])
+        np.testing.assert_array_equal(episode.actions, flat.actions[rows])
+        np.testing.assert_array_equal(episode.observations[:-1].astype(np.float32), flat.observations[rows])
+        assert len(episode.observations) == len(episode.actions) + 1
+        ended = episode.terminations | episode.truncations
+        assert ended.tolist() == [False] * (len(ended) - 1) + [True]
+    sampled = dataset.sample_episodes(3)
+    assert {episode.actions.dtype for episode in sampled} == {np.dtype(np.float32)}
+
+
+def test_torchrl_reads_the_steps(tiny_data, tmp_path):
+    datasets = pytest.importorskip("torchrl.data.datasets")
+    name = "dynagen/Hopper-RandDyn/test1-v0"
+    replay = datasets.MinariExperienceReplay(
+        name, batch_size=16, root=tmp_path / "torchrl", load_from_local_minari=True, split_trajs=False
+    )
+    assert len(replay) == minari.load_dataset(name).total_steps
+    batch = replay.sample()
+    flat = load_dataset("Hopper", "test")
+    actions = {tuple(row) for row in flat.actions.tolist()}
+    assert {tuple(row) for row in batch["action"].tolist()} <= actions
+    assert batch["observation"].shape == batch["next", "observation"].shape == (16, 11)
