@@ -18,13 +18,14 @@ import tyro
 from dynagen_bench import ids
 from dynagen_bench.collection.policies import POLICY_FOLDER
 from dynagen_bench.collection.runs import collect as collect_runs
-from dynagen_bench.collection.settings import SACSettings
+from dynagen_bench.collection.settings import changed_settings
 from dynagen_bench.datasets import commands
 from dynagen_bench.datasets.cards import write_data_card
 from dynagen_bench.dynamics import PARAMETERS, draw_dynamics, factor_array, load_dynamics, nominal_robot
 from dynagen_bench.envs.pages import write_page
 from dynagen_bench.evaluation.baselines import random_submission
 from dynagen_bench.evaluation.submission import write_submission
+from dynagen_bench.pictures import render_video, write_gallery, write_strip
 
 Robot = Annotated[str, tyro.conf.Positional]
 
@@ -81,12 +82,83 @@ def page(robot: Robot, output: Path | None = None) -> None:
     write_page(robot, output)
 
 
+def render(
+    robot: Robot,
+    label: Annotated[str, tyro.conf.Positional],
+    output: Path,
+    policy: str = "best",
+    policy_of: str | None = None,
+    episodes: int = 1,
+    seed: int = 0,
+    speed: float = 1.0,
+    width: int = 480,
+    height: int = 480,
+) -> None:
+    """Write a video of a policy's episodes in one dynamics.
+
+    Needs the [pictures] extra, and EGL or OSMesa where there is no display.
+
+    Args:
+        robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
+        label: train0 to train19, test0 to test4, or nominal.
+        output: the file, .mp4 or .gif.
+        policy: best (the behaviour policy that returns most), a snapshot's steps as 1000000, random or zero.
+        policy_of: act as the behaviour policies of this dynamics, in the body of the other.
+        episodes: how many, one after the other.
+        seed: the first episode's reset seed; the next one has the next number.
+        speed: 1 is real time, 0.25 slow motion.
+        width: of a frame, pixels.
+        height: of a frame, pixels.
+    """
+    video = render_video(
+        robot,
+        label,
+        output,
+        policy=policy,
+        policy_of=policy_of,
+        episodes=episodes,
+        seed=seed,
+        speed=speed,
+        width=width,
+        height=height,
+    )
+    sys.stdout.write(f"{output}: {video}\n")
+
+
+def gallery(
+    output: Path,
+    robots: Annotated[list[str], tyro.conf.Positional] = list(ids.ROBOTS),  # noqa: B006, never changed
+) -> None:
+    """Write one HTML page of all bodies: their factors, the same actions in several of them, their data's returns.
+
+    Needs the [pictures] extra, and EGL or OSMesa where there is no display. The page loads nothing but itself.
+
+    Args:
+        output: the file.
+        robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant; none given means all.
+    """
+    write_gallery(output, robots)
+
+
+def strip(robot: Robot, output: Path, size: int = 160) -> None:
+    """Write one picture of the same actions in the nominal and the five test bodies: a column a body, a row a moment.
+
+    Needs EGL or OSMesa where there is no display.
+
+    Args:
+        robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
+        output: the file, .png, .webp or .jpg.
+        size: width and height of a frame, pixels.
+    """
+    write_strip(robot, output, size=size)
+
+
 def collect(
     robot: Robot,
     labels: Annotated[list[str], tyro.conf.Positional] = [],  # noqa: B006, tyro reads the default and never changes it
     folder: Path = POLICY_FOLDER,
     processes: int | None = None,
-    settings: Annotated[SACSettings, tyro.conf.arg(name="")] = SACSettings(),  # noqa: B008, frozen
+    change: Annotated[list[str], tyro.conf.UseAppendAction] = [],  # noqa: B006, as above
 ) -> None:
     """Train the SAC behaviour policies of a robot: what is missing is run, one pinned process a processor.
 
@@ -97,10 +169,10 @@ def collect(
         labels: train0 to train19, test0 to test4; none given means all 25.
         folder: where the policies are kept.
         processes: how many at once; one a processor if not given.
-        settings: what SAC is trained with.
+        change: another setting of SAC for a trial, as `--change learning_rate=1e-3`; may be given again.
     """
     names = [ids.parse_label(robot, label) for label in labels] or list(ids.dynamics_ids(robot))
-    collect_runs(names, settings, folder, processes)
+    collect_runs(names, changed_settings(robot, change), folder, processes)
 
 
 def data_build(
@@ -161,6 +233,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "dynamics show": dynamics_show,
     "dynamics draw": dynamics_draw,
     "page": page,
+    "render": render,
+    "gallery": gallery,
+    "strip": strip,
     "collect": collect,
     "baseline": baseline,
     "data build": data_build,

@@ -12,6 +12,7 @@ import pytest
 
 from dynagen_bench import ids
 from dynagen_bench.datasets.commands import build
+from dynagen_bench.pictures.backend import choose_backend
 from tests.tiny_data import EPISODES_PER_SNAPSHOT, store_random_policies
 
 
@@ -57,3 +58,18 @@ def tiny_data(tiny_dataset_root, monkeypatch) -> Path:
     """`tiny_dataset_root` as Minari's root for one test, so that `load_dataset("Hopper")` works."""
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tiny_dataset_root))
     return tiny_dataset_root
+
+
+@pytest.fixture(scope="session")
+def gl():
+    """Skips where no GL backend draws; leaves the environment as it was after the session."""
+    before = os.environ.get("MUJOCO_GL")
+    try:
+        yield choose_backend()
+    except RuntimeError as missing:
+        pytest.skip(str(missing))
+    finally:
+        if before is None:
+            os.environ.pop("MUJOCO_GL", None)
+        else:
+            os.environ["MUJOCO_GL"] = before

@@ -166,7 +166,10 @@ def train_behaviour_policies(
         gradient_steps=settings.gradient_steps,
         policy_delay=settings.policy_delay,
         learning_starts=settings.learning_starts,
-        policy_kwargs={"net_arch": [settings.hidden, settings.hidden]},
+        policy_kwargs={
+            "net_arch": {"pi": [settings.hidden] * 2, "qf": [settings.critic_hidden] * 2},
+            "layer_norm": settings.critic_layer_norm,
+        },
         seed=int(learner_sequence.generate_state(1)[0]),
     )
     snapshots = _Snapshots(settings.snapshot_every, progress)

@@ -5,7 +5,7 @@ import pytest
 from dynagen_bench import ids
 from dynagen_bench.collection.minari_files import build_dataset
 from dynagen_bench.collection.policies import load_policies, policy_file
-from dynagen_bench.collection.settings import SACSettings
+from dynagen_bench.collection.settings import SETTINGS, SACSettings
 from dynagen_bench.datasets import reference_scores
 from dynagen_bench.datasets.manifest import check_official, read_manifest
 from dynagen_bench.datasets.scores import normalized_score, score_range
@@ -16,7 +16,7 @@ COLLECTED = ("Hopper",)
 
 @pytest.mark.parametrize("robot", COLLECTED)
 def test_every_dynamics_has_its_twenty_policies_of_the_one_setting(robot):
-    settings = SACSettings()
+    settings = SETTINGS[robot]
     steps = range(settings.snapshot_every, settings.total_steps + 1, settings.snapshot_every)
     hashes = set()
     for name in ids.dynamics_ids(robot):

@@ -1,0 +1,115 @@
+"""Who acts in a picture: a stored behaviour policy as it made the data, random actions, or none.
+
+What is here: the choice by name. Called by videos and strips. It must not know frames or files of pictures.
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynagen_bench import ids
+from dynagen_bench.collection.episodes import action_noise, roll_out
+from dynagen_bench.collection.policies import POLICY_FOLDER, BehaviourPolicy, load_policies, policy_file
+from dynagen_bench.dynamics import load_dynamics
+from dynagen_bench.envs import HORIZON, BatchPhysics
+from dynagen_bench.pictures.bars import track
+
+TRIALS: Final = 8
+"""Episodes that each snapshot gets when the best is chosen. Its learning curve would cost nothing, but is a mean over
+policies that were still changing."""
+
+Act = Callable[[NDArray[np.float64], int], NDArray[np.float32]]
+"""Action (A,) for an observation (S,) at step t."""
+
+
+class Actor(NamedTuple):
+    """Somebody who acts: what to call it, and reset seed of an episode → how it acts in that episode."""
+
+    label: str
+    start: Callable[[int], Act]
+
+
+def choose_actor(
+    policy: str, name: ids.DynamicsId, limit: NDArray[np.floating[Any]], folder: Path = POLICY_FOLDER
+) -> Actor:
+    """The actor of this name.
+
+    Args:
+        policy: `zero`, `random`, `best`, or the environment steps of a stored snapshot, `1000000`.
+        name: the dynamics whose behaviour policies are meant.
+        limit: (A,), the action space is ± this.
+        folder: where the policies are.
+
+    Raises:
+        ValueError: a name of another form, or a snapshot that is not stored.
+        FileNotFoundError: there are no policies of this dynamics; the message says what can be done.
+    """
+    size = len(limit)
+    if policy == "zero":
+        return Actor("no action", lambda seed: lambda observation, t: np.zeros(size, np.float32))
+    if policy == "random":
+        return Actor("random actions", lambda seed: _replay(random_actions(seed, limit)))
+    if policy != "best" and not policy.isdecimal():
+        raise ValueError(f"unknown policy {policy!r}: write best, random, zero, or a snapshot's steps as 1000000")
+    snapshots = stored_snapshots(name, folder)
+    step = best_snapshot(name, snapshots) if policy == "best" else int(policy)
+    if step not in snapshots:
+        known = ", ".join(str(stored) for stored in snapshots)
+        raise ValueError(f"{name.env_id} has no snapshot at {step} steps: choose best or one of {known}")
+    label = f"policy of {name.label}, {step // 1000}K" if step >= 1000 else f"policy of {name.label}, {step}"
+    return Actor(label, lambda seed: _behave(snapshots[step], np.asarray(limit, np.float64), seed))
+
+
+def stored_snapshots(name: ids.DynamicsId, folder: Path = POLICY_FOLDER) -> dict[int, BehaviourPolicy]:
+    """The behaviour policies of a dynamics, environment steps → policy; raises FileNotFoundError if there are none."""
+    if name.split == "nominal":
+        raise FileNotFoundError(
+            "nominal has no behaviour policies: take --policy-of train0, or --policy random or zero"
+        )
+    try:
+        return load_policies(policy_file(name, folder))[0]
+    except FileNotFoundError as missing:
+        raise FileNotFoundError(f"{missing}, or take --policy random or zero") from None
+
+
+def best_snapshot(name: ids.DynamicsId, snapshots: Mapping[int, BehaviourPolicy]) -> int:
+    """The snapshot of the highest mean return in its own dynamics, the earlier of two equal ones.
+
+    Each has `TRIALS` stochastic episodes, of reset seeds 0, 1, ...: a few seconds in all, with a progress bar.
+    """
+    physics = BatchPhysics(name.robot, [load_dynamics(name.robot, name.split, name.index)] * TRIALS)
+    means = {
+        step: np.mean([episode.total_reward for episode in roll_out(physics, policy, step, list(range(TRIALS)))])
+        for step, policy in track(snapshots.items(), f"{name.env_id}: best snapshot", len(snapshots))
+    }
+    return max(means, key=lambda step: means[step])
+
+
+def random_actions(seed: int, limit: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+    """Uniform actions of a whole episode, (HORIZON, A)."""
+    return np.random.default_rng(seed).uniform(-limit, limit, (HORIZON, len(limit))).astype(np.float32)
+
+
+def smooth_actions(seed: int, limit: NDArray[np.floating[Any]], seconds: float) -> NDArray[np.float32]:
+    """Swinging actions of a whole episode, (HORIZON, A); `seconds` is the length of a control step.
+
+    A sine an actuator, of drawn frequency (0.5 to 2 Hz) and phase, and a quarter of the limit high.
+    """
+    rng = np.random.default_rng(seed)
+    frequency, phase = rng.uniform(0.5, 2.0, len(limit)), rng.uniform(0.0, 2.0 * np.pi, len(limit))
+    time = seconds * np.arange(HORIZON)[:, None]
+    swings: NDArray[np.float32] = (0.25 * limit * np.sin(2.0 * np.pi * frequency * time + phase)).astype(np.float32)
+    return swings
+
+
+def _replay(actions: NDArray[np.float32]) -> Act:
+    return lambda observation, t: actions[t]
+
+
+def _behave(policy: BehaviourPolicy, limit: NDArray[np.float64], seed: int) -> Act:
+    # the noise of the data's own episode of this reset seed: the same seed gives the same episode
+    noise = action_noise(seed, len(limit))
+    return lambda observation, t: policy.act(observation[None], limit, noise[t : t + 1])[0].astype(np.float32)

@@ -1,0 +1,32 @@
+"""Settings of SAC: one a robot, and changes to them as text."""
+
+import pytest
+
+from dynagen_bench import ids
+from dynagen_bench.collection.settings import SETTINGS, SACSettings, changed_settings
+
+
+def test_every_robot_has_one_setting_and_the_same_snapshots():
+    assert tuple(SETTINGS) == ids.ROBOTS
+    assert {(s.total_steps, s.snapshot_every, s.hidden) for s in SETTINGS.values()} == {(1_000_000, 50_000, 64)}
+
+
+def test_changes_are_read_as_the_fields_types():
+    changed = changed_settings("Hopper", ["learning_rate=1e-3", "gradient_steps=64", "critic_layer_norm=true"])
+    assert changed == SACSettings(learning_rate=1e-3, gradient_steps=64, critic_layer_norm=True)
+    assert changed_settings("Ant", []) == SETTINGS["Ant"]
+
+
+@pytest.mark.parametrize(
+    ("robot", "change", "message"),
+    [
+        ("Hopper", "momentum=1", "unknown setting 'momentum': choose from total_steps, "),
+        ("Hopper", "gradient_steps=many", "gradient_steps is 'many': give a value like 32"),
+        ("Hopper", "gradient_steps", "gradient_steps is '': give a value like 32"),
+        ("Dog", "gradient_steps=1", "Dog"),
+    ],
+)
+def test_a_mistake_ends_in_one_line(robot, change, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        changed_settings(robot, [change])
+    assert "\n" not in str(caught.value)

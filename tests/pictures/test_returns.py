@@ -1,0 +1,45 @@
+"""Histograms of returns, and what is said where there are no data."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dynagen_bench.pictures.returns import BINS, HEIGHT, _range, distributions, load_returns
+from tests.tiny_data import three_step_episodes
+
+
+@pytest.mark.usefixtures("tiny_data")
+def test_every_body_with_data_has_a_row():
+    found = distributions(load_returns("Hopper"))
+    assert len(found.rows) == 25
+    assert [row.label for row in found.rows][18:21] == ["train18", "train19", "test0"]
+    assert found.missing == []
+    assert all("8 episodes" in row.words for row in found.rows)
+
+
+def test_data_that_are_not_here_are_missing():
+    found = distributions(load_returns("Ant"))
+    assert found.rows == []
+    assert found.missing == ["train", "test"]
+
+
+def test_a_histogram_by_hand():
+    found = distributions({"train": three_step_episodes()})  # returns 7 and 24, one each
+    assert [text for _, text in found.ticks] == ["5", "10", "15", "20", "25"]
+    assert [row.median for row in found.rows] == ["7", "24"]
+    assert found.rows[0].median_at == pytest.approx(BINS * 2 / 20)
+    heights = [float(y) for y in re.findall(r"V([\d.]+)h1", found.rows[0].path)]
+    assert heights == [0.0 if i == 6 else HEIGHT for i in range(BINS)]
+    assert found.missing == ["test"]
+
+
+@given(st.floats(-1e4, 1e4), st.floats(0.0, 1e4))
+def test_the_scale_holds_all_and_is_not_much_wider(low, width):
+    first, last, step = _range(low, low + width)
+    assert first <= low + 1e-6 * abs(low)
+    assert last >= low + width - 1e-6 * abs(low + width)
+    assert 1 <= round((last - first) / step) <= 7
+    assert np.isclose((last - first) / step, round((last - first) / step))

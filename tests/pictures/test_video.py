@@ -1,0 +1,69 @@
+"""Videos can be read again, and show what was asked for."""
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+
+from dynagen_bench.pictures import render_video
+
+
+def read(path, **kwargs):
+    """A small video, written and read: (F, H, W, 3) and what was said of it."""
+    arguments = {"policy": "random", "width": 64, "height": 48, "speed": 0.5} | kwargs
+    video = render_video("Hopper", arguments.pop("label", "test3"), path, **arguments)
+    return imageio.imread(path), video
+
+
+@pytest.mark.usefixtures("gl")
+def test_an_mp4_has_the_frames_that_its_speed_asks_for(tmp_path):
+    frames, video = read(tmp_path / "a.mp4", speed=0.4, seed=2)
+    assert frames.shape == (video.frames, 48, 64, 3)
+    assert video.frame_rate == pytest.approx(50)  # Hopper has 125 steps a second
+    assert imageio.immeta(tmp_path / "a.mp4")["fps"] == pytest.approx(50)
+    faster, less = read(tmp_path / "b.mp4", speed=1.0, seed=2)
+    assert less.frame_rate == pytest.approx(62.5)
+    assert less.returns == video.returns
+    assert len(faster) == less.frames == (video.frames + 1) // 2
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["a.mp4", "b.mp4"]
+
+
+@pytest.mark.usefixtures("gl")
+def test_the_same_seed_gives_the_same_frames_and_other_dynamics_others(tmp_path):
+    first, video = read(tmp_path / "a.gif")
+    again, _ = read(tmp_path / "b.gif")
+    other_body, _ = read(tmp_path / "c.gif", label="test0")
+    other_seed, _ = read(tmp_path / "d.gif", seed=1)
+    assert video.frames == len(first) > 2
+    assert np.array_equal(first, again)
+    for other in (other_body, other_seed):
+        lower = slice(24, None)  # below the words
+        assert len(other) != len(first) or not np.array_equal(other[:, lower], first[:, lower])
+
+
+@pytest.mark.usefixtures("gl")
+def test_another_ones_policy_acts_in_the_nominal_body_twice(tmp_path, tiny_policies):
+    frames, video = read(
+        tmp_path / "a.gif", label="nominal", policy="200", policy_of="train1", episodes=2, folder=tiny_policies
+    )
+    assert video.actor == "policy of train1, 200"
+    assert len(video.returns) == 2
+    assert video.returns[0] != video.returns[1]
+    assert len(frames) == video.frames
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"name": "a.avi"}, "let its name end in .mp4 or .gif"),
+        ({"episodes": 0}, "episodes is 0"),
+        ({"speed": 0.0}, "speed 0"),
+        ({"width": 63}, "an even number from 32 to 2048"),
+        ({"label": "test9"}, "from 0 to 4"),
+        ({"policy_of": "best"}, "train0 to train19"),
+    ],
+)
+def test_a_mistake_writes_nothing(tmp_path, change, message):
+    change = dict(change)
+    with pytest.raises(ValueError, match=message):
+        read(tmp_path / change.pop("name", "a.mp4"), **change)
+    assert not list(tmp_path.iterdir())
