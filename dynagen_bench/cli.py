@@ -209,6 +209,48 @@ def data_verify(robots: Annotated[list[str], tyro.conf.Positional], every: int =
     commands.verify(robots, every=every)
 
 
+def data_download(
+    robots: Annotated[list[str], tyro.conf.Positional],
+    labels: list[str] = [],  # noqa: B006, as in `collect`
+    every: int = 1,
+    remote: str | None = None,
+) -> None:
+    """Download the Minari datasets of robots that are not here, and check their content hashes.
+
+    Needs the [remotes] extra. A download that was stopped continues; what is there and right is kept.
+
+    Args:
+        robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
+        labels: train0 to train19, test0 to test4; none given means all 25.
+        every: of the part that has every n-th snapshot alone.
+        remote: hf://NAME or gcp://BUCKET; MINARI_REMOTE if not given.
+    """
+    commands.download(robots, labels, every=every, remote=remote)
+
+
+def data_publish(
+    robots: Annotated[list[str], tyro.conf.Positional],
+    labels: list[str] = [],  # noqa: B006, as in `collect`
+    every: int = 1,
+    output: Path | None = None,
+    remote: str | None = None,
+    unofficial: tyro.conf.FlagCreatePairsOff[bool] = False,
+) -> None:
+    """Check the datasets of robots, then write them as a tree for any Minari remote, or upload them to one.
+
+    Uploading needs the [remotes] extra. What was stopped continues; what is there already is not sent again.
+
+    Args:
+        robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
+        labels: train0 to train19, test0 to test4; none given means all 25.
+        every: of the part that has every n-th snapshot alone.
+        output: write a tree to this folder, beside what it has.
+        remote: hf://NAME or gcp://BUCKET; MINARI_REMOTE if neither this nor an output is given.
+        unofficial: publish data that are not the official ones, too.
+    """
+    commands.publish(robots, labels, every=every, output=output, remote=remote, unofficial=unofficial)
+
+
 def data_card_page(robot: Robot, output: Path | None = None) -> None:
     """Print a page, in Markdown, of what is in the data of a robot, beside the paper's Table 5.
 
@@ -241,6 +283,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "data build": data_build,
     "data list": data_list,
     "data verify": data_verify,
+    "data download": data_download,
+    "data publish": data_publish,
     "data card": data_card_page,
 }
 """What may follow `dynagen`: one word, or a group's word and one of its commands."""

@@ -1,10 +1,13 @@
-"""What `dynagen data build|list|verify` do.
+"""What `dynagen data build|list|verify|download|publish` do.
 
 What is here: all datasets of a robot at once, with progress bars, held against the manifest. Called by the command
-line. It must not know how episodes are made or stored.
+line. It must not know how episodes are made or stored, nor how remotes are spoken to.
 """
 
-from collections.abc import Sequence
+import contextlib
+import os
+import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import minari
@@ -14,12 +17,16 @@ import rich.progress
 import rich.table
 
 from dynagen_bench import ids
-from dynagen_bench.collection.contents import DatasetRecord, content_hash, dataset_folder, read_episodes, read_record
+from dynagen_bench.collection.contents import DatasetRecord, dataset_folder, read_record
 from dynagen_bench.collection.episodes import EPISODES_PER_SNAPSHOT
 from dynagen_bench.collection.minari_files import build_dataset
 from dynagen_bench.collection.policies import POLICY_FOLDER, load_policies, policy_file
+from dynagen_bench.datasets.checks import check_dataset, check_mujoco
+from dynagen_bench.datasets.downloads import arrival_folder, download_dataset, download_namespaces
 from dynagen_bench.datasets.flat import checked_record
 from dynagen_bench.datasets.manifest import RECORDS, ManifestEntry, add_to_manifest, check_official, read_manifest
+from dynagen_bench.datasets.publishing import add_to_tree, send_dataset, send_namespaces
+from dynagen_bench.datasets.remotes import connect, namespace_of
 from dynagen_bench.datasets.scores import REFERENCE_FILE, Reference, reference_scores, write_reference_scores
 
 
@@ -93,41 +100,193 @@ def list_datasets(records: Path = RECORDS) -> None:
 
 
 def verify(robots: Sequence[str], *, every: int = 1, records: Path = RECORDS) -> None:
-    """Read every dataset of the robots again and compare it with what it records and with the manifest.
+    """Read every dataset of the robots again and compare it with what it records, the manifest and MuJoCo here.
 
     Raises:
         FileNotFoundError: a dataset is missing.
-        ValueError: some datasets are damaged or not official; the message names them and says why.
+        ValueError: some datasets are damaged, not official or of another MuJoCo; the message names each and says why.
     """
-    names = [name for robot in robots for name in ids.dynamics_ids(robot)]
-    found = {name.part_id(every): checked_record(name, every) for name in names}
+    names = _chosen(robots, ())
+    if missing := [name for name in names if not dataset_folder(name.part_id(every)).is_dir()]:
+        checked_record(missing[0], every)  # says which command makes it, before the others are read
     manifest = read_manifest(records)
+    found: dict[str, DatasetRecord] = {}
     faults = []
     with _bars() as bars:
-        for dataset_id, record in bars.track(list(found.items()), description="reading"):
+        for name in bars.track(names, description="reading"):
+            dataset_id = name.part_id(every)
             try:
-                _check_content(dataset_id, record)
-                if dataset_id in manifest:
-                    check_official(dataset_id, record, manifest[dataset_id])
+                check_mujoco(dataset_id, checked_record(name, every))
+                found[dataset_id] = check_dataset(dataset_folder(dataset_id), name, every, manifest.get(dataset_id))
             except ValueError as fault:
                 faults.append(str(fault))
     if faults:
-        raise ValueError("; ".join(faults))
+        raise ValueError("; ".join(faults) + ". What is damaged can be built or downloaded again")
     _show(found, records)
 
 
-def _check_content(dataset_id: str, record: DatasetRecord) -> None:
-    try:
-        intact = content_hash(read_episodes(dataset_folder(dataset_id))) == record.sha256
-    except (OSError, KeyError) as error:  # h5py's own, for a cut file or a missing episode
-        raise ValueError(f"{dataset_id} is damaged ({error}): build it again") from error
-    if not intact:
-        raise ValueError(f"{dataset_id} is damaged: its episodes are not those it records; build it again")
+def download(
+    robots: Sequence[str],
+    labels: Sequence[str] = (),
+    *,
+    every: int = 1,
+    remote: str | None = None,
+    records: Path = RECORDS,
+) -> None:
+    """Download the datasets of robots that are not here, check every one, and print a table of all.
+
+    What is there already and right is kept; a download that was stopped continues with the dataset it was at.
+
+    Args:
+        robots: names of robots.
+        labels: `train0` ... `test4`; none means all 25.
+        every: the part of the data that has every n-th snapshot alone.
+        remote: `hf://NAME` or `gcp://BUCKET`; None takes `MINARI_REMOTE`.
+        records: the folder of the manifest.
+
+    Raises:
+        ValueError: an unknown robot, label or remote, or the remote has not the right data; all before it are here.
+        RuntimeError: the remote does not answer, or the [remotes] extra is not installed.
+    """
+    names = _chosen(robots, labels)
+    manifest = read_manifest(records)
+    source = connect(remote)
+    found: dict[str, DatasetRecord] = {}
+    with _bars() as bars:
+        whole = bars.add_task("datasets", total=len(names))
+        for name in names:
+            dataset_id = name.part_id(every)
+            task = bars.add_task(f"{dataset_id}, MB", total=None, arrival=arrival_folder(dataset_id))
+            found[dataset_id] = download_dataset(
+                source,
+                name,
+                every,
+                manifest.get(dataset_id),
+                started=lambda size, task=task: bars.update(task, total=size / 1e6),  # type: ignore[misc]
+            )
+            bars.remove_task(task)
+            bars.advance(whole)
+        download_namespaces(source, [ids.NAMESPACE, *_namespaces(found)])
+    if unlisted := [dataset_id for dataset_id in found if dataset_id not in manifest]:
+        _say(f"not in the manifest, and checked against what they record alone: {', '.join(unlisted)}")
+    _show(found, records)
+
+
+def publish(
+    robots: Sequence[str],
+    labels: Sequence[str] = (),
+    *,
+    every: int = 1,
+    output: Path | None = None,
+    remote: str | None = None,
+    unofficial: bool = False,
+    records: Path = RECORDS,
+) -> None:
+    """Check the datasets of robots, then write them as a tree for any remote, or upload them to one.
+
+    What the tree or the remote has already is kept, and what was stopped continues when it is done again.
+
+    Args:
+        robots: names of robots.
+        labels: `train0` ... `test4`; none means all 25.
+        every: the part of the data that has every n-th snapshot alone.
+        output: the folder of the tree.
+        remote: `hf://NAME` or `gcp://BUCKET`; None takes `MINARI_REMOTE` if there is no `output`.
+        unofficial: publish data that are not the official ones, too.
+        records: the folder of the manifest.
+
+    Raises:
+        FileNotFoundError: a dataset is missing.
+        ValueError: an unknown robot, label or remote, a damaged dataset, one that is not official, or other data there.
+        RuntimeError: the remote does not answer, or the [remotes] extra is not installed.
+    """
+    if output is not None and remote is not None:
+        raise ValueError(f"both --output {output} and --remote {remote} are given: publish to one after the other")
+    names = _chosen(robots, labels)
+    target = connect(remote) if output is None else None
+    found = _publishable(names, every, unofficial, records)
+    if target is None:
+        assert output is not None
+        with _bars() as bars:
+            task = bars.add_task("writing", total=len(found))
+            add_to_tree(output, list(found), lambda: bars.advance(task))
+        _say(f"{len(found)} datasets are in {output}")
+        return
+    manifest, sent = read_manifest(records), 0
+    with _bars() as bars:
+        whole = bars.add_task("datasets", total=len(found))
+        send_namespaces(target, _namespaces(found))
+        for dataset_id, record in found.items():
+            official = dataset_id in manifest and manifest[dataset_id].sha256 == record.sha256
+            bars.update(whole, description=f"uploading {dataset_id}")
+            sent += send_dataset(target, dataset_id, record, replace=official)
+            bars.advance(whole)
+    _say(f"{sent} datasets were sent to {target.address}, {len(found) - sent} were there")
+
+
+def _publishable(
+    names: Sequence[ids.DynamicsId], every: int, unofficial: bool, records: Path
+) -> dict[str, DatasetRecord]:
+    """The records of datasets that may be published: each is whole, and the official one unless that is waived."""
+    for name in names:  # before the first of them is read
+        checked_record(name, every)
+    manifest = read_manifest(records)
+    found: dict[str, DatasetRecord] = {}
+    with _bars() as bars:
+        for name in bars.track(names, description="reading"):
+            dataset_id = name.part_id(every)
+            official = manifest.get(dataset_id)
+            if official is None and not unofficial:
+                raise ValueError(
+                    f"{dataset_id} is not in the manifest: only official data are published, or any with --unofficial"
+                )
+            found[dataset_id] = check_dataset(dataset_folder(dataset_id), name, every, None if unofficial else official)
+    return found
+
+
+def _chosen(robots: Sequence[str], labels: Sequence[str]) -> list[ids.DynamicsId]:
+    """Some dynamics of each robot; no label means all that have data."""
+    names = [
+        name
+        for robot in robots
+        for name in ([ids.parse_label(ids.check_robot(robot), label) for label in labels] or ids.dynamics_ids(robot))
+    ]
+    if any(name.split == "nominal" for name in names):
+        raise ValueError("there are no data of the nominal robots: write train0 to train19, test0 to test4")
+    return list(dict.fromkeys(names))
+
+
+def _namespaces(dataset_ids: Iterable[str]) -> list[str]:
+    return sorted({namespace_of(dataset_id) for dataset_id in dataset_ids})
+
+
+def _say(text: str) -> None:
+    rich.console.Console(stderr=True).print(text, soft_wrap=True, highlight=False)
+
+
+class _Bars(rich.progress.Progress):
+    """Progress bars; one with a field `arrival` shows the megabytes that are in that folder."""
+
+    def get_renderables(self) -> Iterable[rich.console.RenderableType]:
+        for task in self.tasks:
+            if "arrival" in task.fields:
+                with contextlib.suppress(KeyError):  # this runs beside the download, which may just have ended
+                    self.update(task.id, completed=_megabytes(task.fields["arrival"]))
+        yield from super().get_renderables()
+
+
+def _megabytes(folder: Path) -> float:
+    size = 0
+    for place, _, files in os.walk(folder):  # which passes over folders that go away meanwhile
+        for file in files:
+            with contextlib.suppress(FileNotFoundError):
+                size += Path(place, file).stat().st_size
+    return size / 1e6
 
 
 def _bars() -> rich.progress.Progress:
     columns = (*rich.progress.Progress.get_default_columns(), rich.progress.MofNCompleteColumn())
-    return rich.progress.Progress(*columns, console=rich.console.Console(stderr=True))
+    return _Bars(*columns, console=rich.console.Console(file=sys.stderr))
 
 
 def _reference_file(records: Path) -> Path:

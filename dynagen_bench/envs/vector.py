@@ -5,6 +5,7 @@ calls it, by the names at the end of this file. It must not know physics or rewa
 """
 
 import functools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
@@ -115,7 +116,7 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         self.single_action_space = self._single.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._max_steps = max_episode_steps
+        self._max_steps = math.inf if max_episode_steps is None else max_episode_steps
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._ended = np.ones(num_envs, dtype=np.bool_)
@@ -173,7 +174,8 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         self._ended[rows] = False
         if self._tendons:
             self.physics.derive(rows)
-        self._tell(infos, rows, self._positions(rows) | {"dynamics_index": self.dynamics_indices[rows]})
+        said = self._positions(rows, self.physics.states[rows]) | {"dynamics_index": self.dynamics_indices[rows]}
+        self._tell(infos, rows, said)
 
     def step(
         self, actions: NDArray[np.floating[Any]]
@@ -188,61 +190,45 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
             ValueError: actions of another shape, or not finite; no physics has run.
             gymnasium.error.ResetNeeded: before the first reset, and in mode `Disabled` after an end.
         """
-        actions = checked_actions(actions, self.action_space.shape or ())
-        mode, due = self.metadata["autoreset_mode"], self._ended
         if not self._started:
             raise gymnasium.error.ResetNeeded("the sub-environments have not started: call reset() before step()")
-        waiting = np.flatnonzero(due)
+        mode, waiting = self.metadata["autoreset_mode"], np.flatnonzero(self._ended)
         if len(waiting) and mode is AutoresetMode.DISABLED:
             raise gymnasium.error.ResetNeeded(
                 f"sub-environments {waiting[:5].tolist()} have ended: reset them with options={{'reset_mask': ...}}"
             )
+        actions = checked_actions(actions, self.action_space.shape or ())
+        rows = None if len(waiting) == 0 else np.flatnonzero(~self._ended)
         rewards = np.zeros(self.num_envs)
-        ends = [np.zeros(self.num_envs, dtype=np.bool_) for _ in range(2)]
+        terminations, truncations = (np.zeros(self.num_envs, dtype=np.bool_) for _ in range(2))
         infos: Infos = {}
-        if len(waiting) == 0:
-            self._advance(None, actions, rewards, ends, infos)
-        elif len(waiting) < self.num_envs:
-            running = np.flatnonzero(~due)
-            self._advance(running, actions[running], rewards, ends, infos)
-        self._ended = ends[0] | ends[1]
+        if rows is None or len(rows):
+            where = _all_or(rows)
+            result = self.physics.step(actions[where], rows)
+            rewards[where], terminations[where] = result.rewards, result.terminated
+            self._steps[where] += 1
+            truncations[where] = self._steps[where] >= self._max_steps
+            self._observations[where] = result.observations
+            self._tell_of_step(infos, rows, result)
+        self._ended = terminations | truncations
         if len(waiting):
             self._start(waiting, infos)
         elif mode is AutoresetMode.SAME_STEP and self._ended.any():
             infos = self._restart(np.flatnonzero(self._ended), infos)
-        return self._observations.copy(), rewards, ends[0], ends[1], infos
+        return self._observations.copy(), rewards, terminations, truncations, infos
 
-    def _advance(
-        self,
-        rows: NDArray[np.intp] | None,
-        actions: Array,
-        rewards: Array,
-        ends: Sequence[NDArray[np.bool_]],
-        infos: Infos,
-    ) -> None:
-        """Step sub-environments (M,), or all: their observations, and what is said of them into the last arguments."""
-        result = self.physics.step(actions, rows)
-        where: Any = slice(None) if rows is None else rows
-        self._steps[where] += 1
-        self._observations[where] = result.observations
-        rewards[where] = result.rewards
-        ends[0][where] = result.terminated
-        if self._max_steps is not None:
-            ends[1][where] = self._steps[where] >= self._max_steps
-        self._tell(infos, rows, self._said_of(rows, result))
+    def _tell_of_step(self, infos: Infos, rows: NDArray[np.intp] | None, result: Transition) -> None:
+        """Put into `infos` what is said of a step of sub-environments (M,), or of all."""
+        said = self._positions(rows, result.states) | result.velocities | reward_info(result.terms)
+        self._tell(infos, rows, said)
         if result.unstable.any():
-            bad = np.flatnonzero(result.unstable) if rows is None else rows[result.unstable]
+            bad = np.arange(self.num_envs)[_all_or(rows)][result.unstable]
             self._tell(infos, bad, {"unstable": np.ones(len(bad), dtype=np.bool_)})
 
-    def _said_of(self, rows: NDArray[np.intp] | None, result: Transition) -> Infos:
-        return self._positions(rows, result.states) | result.velocities | reward_info(result.terms)
-
-    def _positions(self, rows: NDArray[np.intp] | None, states: Array | None = None) -> Infos:
-        where: Any = slice(None) if rows is None else rows
-        states = self.physics.states[where] if states is None else states
+    def _positions(self, rows: NDArray[np.intp] | None, states: Array) -> Infos:
         said: Infos = dict(position_info(self._single.rules, states, self.physics.reference_qpos))
         if self._tendons:
-            said["tendon_length"], said["tendon_velocity"] = (field[where].copy() for field in self._tendons)
+            said["tendon_length"], said["tendon_velocity"] = (field[_all_or(rows)].copy() for field in self._tendons)
         return said
 
     def _tell(self, infos: Infos, rows: NDArray[np.intp] | None, said: Infos) -> None:
@@ -287,6 +273,11 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
     def close_extras(self, **kwargs: Any) -> None:
         """Close the renderer."""
         self._single.close()  # type: ignore[no-untyped-call]
+
+
+def _all_or(rows: NDArray[np.intp] | None) -> Any:
+    """What indexes sub-environments (M,), or all of them without a copy."""
+    return slice(None) if rows is None else rows
 
 
 def _divided(infos: Infos, mask: NDArray[np.bool_]) -> tuple[Infos, Infos]:

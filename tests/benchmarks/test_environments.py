@@ -5,6 +5,8 @@ groups of many environments nothing ends, so that all of them step through the s
 """
 
 import functools
+import subprocess
+import sys
 from collections.abc import Callable
 
 import gymnasium
@@ -133,7 +135,24 @@ def test_fifty_at_once(benchmark, robot, way):
     rounds_of(benchmark, robot, 50, made, rounds=4 if "VectorEnv" in way else 12)
 
 
+MEMORY = """
+import os, sys
+from pathlib import Path
+import gymnasium
+import dynagen_bench
+resident = lambda: int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+before = resident()
+env = gymnasium.make_vec("Hopper-RandDyn-v0", num_envs=int(sys.argv[1]), split="test")
+env.reset(seed=0)
+env.step(env.action_space.sample())
+print(resident() - before)
+"""
+"""Run in a process of its own, whose memory nothing else has used before (Linux)."""
+
+
 @pytest.mark.parametrize("num_envs", [1, 10, 50, 250, 1000])
 def test_any_number(benchmark, num_envs):
     benchmark.group = f"Hopper: N environments, {STEPS_AT_ONCE} steps each"
+    command = [sys.executable, "-c", MEMORY, str(num_envs)]
+    benchmark.extra_info["bytes"] = int(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
     rounds_of(benchmark, "Hopper", num_envs, vector(lambda: ours("Hopper", num_envs, 0)))

@@ -1,0 +1,117 @@
+"""Datasets from Minari's root to a tree of files, or to a remote.
+
+What is here: `add_to_tree`, `send_namespaces` and `send_dataset`. Called by `dynagen data publish`, which has checked
+the datasets. It must not know the manifest, nor how a remote is spoken to.
+
+A tree is laid out as Minari's root and every remote of Minari's are, and can be copied to any of them:
+
+    dynagen/namespace_metadata.json                  lists all datasets in the tree: Hugging Face finds them by it
+    dynagen/Hopper-RandDyn/namespace_metadata.json
+    dynagen/Hopper-RandDyn/test3-v0/data/            metadata.json, main_data.hdf5
+"""
+
+import contextlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from minari.namespace import NAMESPACE_METADATA_FILENAME
+
+from dynagen_bench import ids
+from dynagen_bench.collection.contents import DatasetRecord, dataset_folder
+from dynagen_bench.datasets.remotes import Remote, namespace_of, own_metadata
+from dynagen_bench.whole import exclusively, whole_file, whole_folder
+
+
+def add_to_tree(tree: Path, dataset_ids: Sequence[str], progress: Callable[[], None] = lambda: None) -> None:
+    """Put datasets of this machine into a tree, beside those that it has, and their namespaces.
+
+    The files are hard links where the file system can, and take no space. `progress` is called with each dataset.
+    """
+    with exclusively(tree):  # its lock lies beside the tree, not in it
+        for dataset_id in dataset_ids:
+            with whole_folder(tree / dataset_id) as unfinished:
+                shutil.copytree(dataset_folder(dataset_id), unfinished, copy_function=_link, dirs_exist_ok=True)
+            progress()
+        for namespace in sorted({namespace_of(dataset_id) for dataset_id in dataset_ids}):
+            _write_namespace(tree, namespace, _local_metadata(namespace))
+        found = tree.glob(f"{ids.NAMESPACE}/*/[!.]*/data")
+        datasets = sorted(path.parent.relative_to(tree).as_posix() for path in found)
+        listing = {"datasets": datasets, "namespaces": sorted({namespace_of(dataset_id) for dataset_id in datasets})}
+        _write_namespace(tree, ids.NAMESPACE, {**_local_metadata(ids.NAMESPACE), **listing})
+
+
+def send_namespaces(remote: Remote, namespaces: Sequence[str]) -> None:
+    """Upload the metadata of `dynagen`, if it is not there yet, and of namespaces in it.
+
+    Those of `dynagen` are never sent again: on Hugging Face they have become the list of all its datasets. The others
+    are: a stopped upload may have listed one before it was there.
+    """
+    with tempfile.TemporaryDirectory() as root:
+        for namespace in (ids.NAMESPACE, *namespaces):
+            _write_namespace(Path(root), namespace, _local_metadata(namespace))
+        there = ids.NAMESPACE in remote.namespaces()
+        with _minari_root(root):
+            for namespace in namespaces if there else (ids.NAMESPACE, *namespaces):
+                remote.send_namespace(namespace)
+
+
+def send_dataset(remote: Remote, dataset_id: str, record: DatasetRecord, *, replace: bool) -> bool:
+    """Upload one dataset, unless the remote has the same; return whether it was sent.
+
+    Args:
+        remote: where to.
+        dataset_id: the dataset, in Minari's root; its namespace is there already.
+        record: its record.
+        replace: put it in place of other data that the remote has under this id.
+
+    Raises:
+        ValueError: the remote has other data, and they are not to be replaced.
+        RuntimeError: the upload failed.
+    """
+    namespace = namespace_of(dataset_id)
+    if dataset_id in remote.datasets(namespace):
+        found = remote.record(dataset_id).sha256
+        if found == record.sha256 and remote.holds_files_of(dataset_id, dataset_folder(dataset_id)):
+            return False
+        if found != record.sha256 and not replace:
+            raise ValueError(
+                f"{remote.address} has another {dataset_id}, sha256 {found[:12]}: only official data replace one"
+            )
+    remote.send(dataset_id)
+    return True
+
+
+def _link(source: str, target: str) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # another file system, or one without links
+        shutil.copy2(source, target)
+
+
+def _local_metadata(namespace: str) -> dict[str, Any]:
+    path = dataset_folder(namespace) / NAMESPACE_METADATA_FILENAME
+    return own_metadata(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+
+
+def _write_namespace(root: Path, namespace: str, metadata: Mapping[str, Any]) -> None:
+    with whole_file(root / namespace / NAMESPACE_METADATA_FILENAME) as unfinished:
+        unfinished.write_text(json.dumps(metadata, indent=1) + "\n", encoding="utf-8")
+
+
+@contextlib.contextmanager
+def _minari_root(root: str) -> Iterator[None]:
+    """Minari uploads namespaces from its root alone; here the root is a folder that holds nothing else."""
+    before = os.environ.get("MINARI_DATASETS_PATH")
+    os.environ["MINARI_DATASETS_PATH"] = root
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["MINARI_DATASETS_PATH"]
+        else:
+            os.environ["MINARI_DATASETS_PATH"] = before
