@@ -37,7 +37,16 @@ class SACSettings:
     seed: int = 0
 
 
-SETTINGS: Final[Mapping[str, SACSettings]] = {robot: SACSettings() for robot in ids.ROBOTS}
+_FASTER: Final = SACSettings(gradient_steps=64, learning_rate=1e-3)
+"""One update an environment step, at three times the rate: on HalfCheetah it has at 100K what the other has at 800K."""
+
+SETTINGS: Final[Mapping[str, SACSettings]] = {
+    "Walker": _FASTER,
+    "Hopper": SACSettings(),
+    "HalfCheetah": _FASTER,
+    "SlimHumanoid": _FASTER,
+    "Ant": _FASTER,
+}
 """Robot → what its 25 runs are trained with (docs/behaviour-policies.md says what else was tried)."""
 
 
