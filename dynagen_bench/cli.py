@@ -158,21 +158,24 @@ def collect(
     labels: Annotated[list[str], tyro.conf.Positional] = [],  # noqa: B006, tyro reads the default and never changes it
     folder: Path = POLICY_FOLDER,
     processes: int | None = None,
+    ray: str | None = None,
     change: Annotated[list[str], tyro.conf.UseAppendAction] = [],  # noqa: B006, as above
 ) -> None:
     """Train the SAC behaviour policies of a robot: what is missing is run, one pinned process a processor.
 
-    Needs the [collect] extra. Hopper's 25 runs take about two hours on two processors.
+    Needs the [collect] extra. Hopper's 25 runs take about two hours on two processors. A run that dies is tried again;
+    logs and records are in `.jobs` of the folder.
 
     Args:
         robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
         labels: train0 to train19, test0 to test4; none given means all 25.
         folder: where the policies are kept.
         processes: how many at once; one a processor if not given.
+        ray: run them on Ray: "local", or the address of a cluster, "auto" or HOST:PORT; needs the [cluster] extra.
         change: another setting of SAC for a trial, as `--change learning_rate=1e-3`; may be given again.
     """
     names = [ids.parse_label(robot, label) for label in labels] or list(ids.dynamics_ids(robot))
-    collect_runs(names, changed_settings(robot, change), folder, processes)
+    collect_runs(names, changed_settings(robot, change), folder, processes, ray)
 
 
 def data_build(

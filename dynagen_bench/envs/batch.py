@@ -147,8 +147,8 @@ class BatchPhysics:
         self._warmstart[rows] = 0.0
         self._ctrl[rows] = ctrl
         self._batch.step(ids=simulations, nstep=self._substeps, stage=self._stage)
-        unstable = self._unstable(rows, len(ctrl))
-        if unstable.any():
+        unstable = self._unstable(rows)
+        if unstable is not None:
             restored = self.states[rows]
             restored[unstable] = before[unstable]
             self.states[rows] = restored
@@ -158,17 +158,24 @@ class BatchPhysics:
         forces = None if self._forces is None else self._forces[rows]
         terms = reward(self.rules, velocities["x_velocity"], healthy, ctrl, forces)
         rewards = np.asarray(terms.total, dtype=np.float64)
-        rewards[unstable] = 0.0
-        terminated = ~healthy | unstable if self.rules.terminate_when_unhealthy else unstable.copy()
+        terminated = ~healthy if self.rules.terminate_when_unhealthy else np.zeros_like(healthy)
+        if unstable is None:
+            unstable = np.zeros(count, dtype=np.bool_)
+        else:
+            rewards[unstable] = 0.0
+            terminated |= unstable
         observations = observe(self.rules, states, len(self.reference_qpos))
         return Transition(observations, rewards, terminated, unstable, states, velocities, terms)
 
-    def _unstable(self, rows: Any, simulations: int) -> NDArray[np.bool_]:
-        """Which of the simulations (M,) just stepped have had a bad state: their count of warnings has grown."""
+    def _unstable(self, rows: Any) -> NDArray[np.bool_] | None:
+        """Which of the simulations (M,) just stepped have had a bad state, or None for none.
+
+        Their count of warnings has grown; in a batch that never had one, one look at all counts tells.
+        """
+        if not self._bad_states.any():
+            return None
         counts = self._bad_states.sum(axis=1)
         grown = counts != self._bad_seen
-        if not grown.any():
-            return np.zeros(simulations, dtype=np.bool_)
         self._bad_seen = counts
         unstable: NDArray[np.bool_] = grown[rows]
         return unstable

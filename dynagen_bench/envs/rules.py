@@ -140,10 +140,11 @@ def position_info(rules: Rules, states: Array, reference_qpos: Array) -> dict[st
     A planar robot has its place along the ground and its height above the reference pose; one with a free root has
     both coordinates and the distance from the origin.
     """
+    elements = states.T
+    x, second = elements[0], elements[1]  # the second is the height of a planar robot's root, y of a free one
     if rules.hidden_positions == 1:
-        return {"x_position": states.T[0], "z_distance_from_origin": states.T[1] - reference_qpos[1]}
-    x, y = states.T[0], states.T[1]
-    return {"x_position": x, "y_position": y, "distance_from_origin": np.sqrt(x * x + y * y)}
+        return {"x_position": x, "z_distance_from_origin": second - reference_qpos[1]}
+    return {"x_position": x, "y_position": second, "distance_from_origin": np.sqrt(x * x + second * second)}
 
 
 def velocity_info(rules: Rules, before: Array, after: Array, duration: float) -> dict[str, Values]:
@@ -178,12 +179,8 @@ def reward(rules: Rules, velocity: Values, healthy: Flags, ctrl: Array, contact_
     if contact_forces is not None:
         clipped = np.clip(contact_forces, *rules.contact_force_range)
         contact = -rules.contact_cost_weight * _sum_of_squares(clipped.reshape(*clipped.shape[:-2], -1))
-    return Reward(
-        forward=rules.forward_reward_weight * velocity,
-        survive=rules.healthy_reward * healthy,
-        ctrl=-rules.ctrl_cost_weight * _sum_of_squares(ctrl),
-        contact=contact,
-    )
+    ctrl_cost = -rules.ctrl_cost_weight * _sum_of_squares(ctrl)
+    return Reward(rules.forward_reward_weight * velocity, rules.healthy_reward * healthy, ctrl_cost, contact)
 
 
 _NOTHING: Final = np.float64(0.0)

@@ -173,9 +173,7 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
         forces = self._forces if self.rules.contact_cost_weight else None
         terms = reward(self.rules, velocities["x_velocity"], healthy, ctrl, forces)
         terminated = not stable or (self.rules.terminate_when_unhealthy and not healthy)
-        info = self._info(state)
-        for key, value in (velocities | reward_info(terms)).items():
-            info[key] = float(value)
+        info = self._info(state) | velocities | reward_info(terms)
         if not stable:
             info["unstable"] = True
         if self.render_mode == "human":
@@ -197,8 +195,9 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
         """Run the substeps; True if MuJoCo reported no bad state."""
         self._warmstart[:] = 0.0
         self._ctrl[:] = ctrl
-        self._bad_states[:] = 0
-        mujoco.mj_step(self.model, self.data, nstep=self.frame_skip)
+        if any(self._bad_states.tolist()):
+            self._bad_states[:] = 0
+        mujoco.mj_step(self.model, self.data, self.frame_skip)
         if self.rules.contact_cost_weight:
             mujoco.mj_forward(self.model, self.data)
             mujoco.mj_rnePostConstraint(self.model, self.data)

@@ -27,6 +27,8 @@ SPREAD: Final = "spread"
 
 Infos = dict[str, Any]
 
+_NONE: Final[NDArray[np.intp]] = np.array([], dtype=np.intp)
+
 
 class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[Any]]):
     """N sub-environments of one robot, each with dynamics of its own; no process, no copy of an environment.
@@ -120,6 +122,7 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._ended = np.ones(num_envs, dtype=np.bool_)
+        self._some_ended = True
         self._observations = np.zeros(self.observation_space.shape or ())
         self._started = False
 
@@ -147,6 +150,7 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         self._started = True
         infos: Infos = {}
         self._start(rows, infos)
+        self._some_ended = bool(self._ended.any())
         return self._observations.copy(), infos
 
     def _masked(self, options: Mapping[str, Any] | None) -> NDArray[np.intp]:
@@ -192,19 +196,21 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         """
         if not self._started:
             raise gymnasium.error.ResetNeeded("the sub-environments have not started: call reset() before step()")
-        mode, waiting = self.metadata["autoreset_mode"], np.flatnonzero(self._ended)
-        if len(waiting) and mode is AutoresetMode.DISABLED:
+        mode, rows = self.metadata["autoreset_mode"], None
+        waiting = np.flatnonzero(self._ended) if self._some_ended else _NONE
+        if self._some_ended and mode is AutoresetMode.DISABLED:
             raise gymnasium.error.ResetNeeded(
                 f"sub-environments {waiting[:5].tolist()} have ended: reset them with options={{'reset_mask': ...}}"
             )
-        actions = checked_actions(actions, self.action_space.shape or ())
-        rows = None if len(waiting) == 0 else np.flatnonzero(~self._ended)
+        if self._some_ended:  # else the physics checks the actions, all of which it gets
+            actions = checked_actions(actions, self.action_space.shape or ())
+            rows = np.flatnonzero(~self._ended)
         rewards = np.zeros(self.num_envs)
         terminations, truncations = (np.zeros(self.num_envs, dtype=np.bool_) for _ in range(2))
         infos: Infos = {}
         if rows is None or len(rows):
             where = _all_or(rows)
-            result = self.physics.step(actions[where], rows)
+            result = self.physics.step(actions if rows is None else actions[rows], rows)
             rewards[where], terminations[where] = result.rewards, result.terminated
             self._steps[where] += 1
             truncations[where] = self._steps[where] >= self._max_steps
@@ -213,8 +219,10 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         self._ended = terminations | truncations
         if len(waiting):
             self._start(waiting, infos)
-        elif mode is AutoresetMode.SAME_STEP and self._ended.any():
+        self._some_ended = bool(self._ended.any())
+        if self._some_ended and mode is AutoresetMode.SAME_STEP:
             infos = self._restart(np.flatnonzero(self._ended), infos)
+            self._some_ended = False
         return self._observations.copy(), rewards, terminations, truncations, infos
 
     def _tell_of_step(self, infos: Infos, rows: NDArray[np.intp] | None, result: Transition) -> None:
@@ -233,11 +241,12 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
 
     def _tell(self, infos: Infos, rows: NDArray[np.intp] | None, said: Infos) -> None:
         """Put values (M, ...) of sub-environments (M,), or of all, into infos, with Gymnasium's masks `_key`."""
+        if rows is None:
+            masks = np.ones((len(said), self.num_envs), dtype=np.bool_)  # a row each: no two share an element
+            for mask, (key, values) in zip(masks, said.items(), strict=True):
+                infos[key], infos[f"_{key}"] = values if values.ndim else np.full(self.num_envs, values), mask
+            return
         for key, values in said.items():
-            if rows is None:
-                infos[key] = values if values.ndim else np.full(self.num_envs, values)
-                infos[f"_{key}"] = np.ones(self.num_envs, dtype=np.bool_)
-                continue
             if key not in infos:
                 infos[key] = np.zeros((self.num_envs, *values.shape[1:]), dtype=values.dtype)
                 infos[f"_{key}"] = np.zeros(self.num_envs, dtype=np.bool_)

@@ -15,7 +15,7 @@ import pytest
 
 from dynagen_bench import ids
 from dynagen_bench.collection.policies import load_policies, policy_file
-from dynagen_bench.collection.runs import collect, missing_runs
+from dynagen_bench.collection.runs import collect, missing_runs, run_job
 from dynagen_bench.collection.sac import BatchVecEnv, actor_policy, train_behaviour_policies
 from dynagen_bench.collection.settings import SACSettings
 
@@ -80,23 +80,22 @@ def test_training_environments_are_the_benchmarks():
 
 
 RUN = """
+import dataclasses
 from pathlib import Path
 from dynagen_bench import ids
 from dynagen_bench.collection.runs import collect
-from dynagen_bench.collection.settings import SACSettings
-if __name__ == "__main__":
-    names = [ids.make_id("Hopper", "test", i) for i in (0, 1)]
-    settings = SACSettings(total_steps={steps}, snapshot_every=640, environments=64, gradient_steps=1, hidden=8)
-    collect(names, settings, Path({folder!r}), processes=1)
+from tests.collection.test_sac import TINY
+names = [ids.make_id("Hopper", "test", i) for i in (3, 1)]
+collect(names, dataclasses.replace(TINY, total_steps={steps}), Path({folder!r}), processes=1)
 """
 
 
 @contextlib.contextmanager
 def background_run(tmp_path: Path, steps: int) -> Iterator[subprocess.Popen[bytes]]:
     """`collect` in a process group of its own, killed whole (kill -9) when the block ends."""
-    script = tmp_path / "run.py"
-    script.write_text(RUN.format(folder=str(tmp_path / "policies"), steps=steps))
-    run = subprocess.Popen([sys.executable, str(script)], start_new_session=True, stdout=subprocess.DEVNULL)
+    script = RUN.format(folder=str(tmp_path / "policies"), steps=steps)
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    run = subprocess.Popen([sys.executable, "-c", script], start_new_session=True, env=environment)
     try:
         yield run
     finally:
@@ -105,20 +104,32 @@ def background_run(tmp_path: Path, steps: int) -> Iterator[subprocess.Popen[byte
         run.wait()
 
 
-def test_a_killed_run_leaves_nothing_and_the_next_does_what_is_missing(tmp_path):
+def test_a_killed_run_leaves_nothing_and_the_next_does_what_is_missing(stored, tmp_path):
     folder = tmp_path / "policies"
-    names = [ids.make_id("Hopper", "test", i) for i in (0, 1)]
+    names = [ids.make_id("Hopper", "test", i) for i in (3, 1)]
     with background_run(tmp_path, steps=10**8):
         time.sleep(8)  # into the run: JAX is loaded and steps are taken
     assert missing_runs(names, folder) == names
     assert not list(folder.rglob("*.safetensors"))
 
-    with background_run(tmp_path, steps=1280) as run:
+    there = policy_file(names[1], folder)
+    there.parent.mkdir()
+    there.write_bytes(b"as the package has it, which knows no jobs")
+    with background_run(tmp_path, steps=TINY.total_steps) as run:
         assert run.wait(timeout=300) == 0
     assert missing_runs(names, folder) == []
-    before = [policy_file(name, folder).stat().st_mtime_ns for name in names]
+    assert there.read_bytes() == b"as the package has it, which knows no jobs"
+    assert policy_file(NAME, folder).read_bytes() == stored.read_bytes()  # of the same run, not as a job
+    before = policy_file(NAME, folder).stat().st_mtime_ns
     collect(names, TINY, folder)  # nothing is missing: nothing runs
-    assert [policy_file(name, folder).stat().st_mtime_ns for name in names] == before
+    assert policy_file(NAME, folder).stat().st_mtime_ns == before
+
+
+def test_the_policies_are_the_last_file_of_a_run():
+    job = run_job(NAME, TINY)
+    assert job.outputs == ("Hopper/test3.csv", "Hopper/test3.safetensors")
+    assert job.total == 256
+    assert SACSettings(**job.arguments["settings"]) == TINY
 
 
 def test_missing_policies_say_how_they_are_made(tmp_path):
