@@ -4,6 +4,7 @@ What is here: `build_dataset`. Called by `dynagen data build`. It must not know 
 dataset holds is in `contents`.
 """
 
+import concurrent.futures
 import dataclasses
 import hashlib
 import itertools
@@ -124,6 +125,15 @@ def _counted(items: Iterator[_Item], total: int, progress: Progress) -> Iterator
         yield item
 
 
+def _ahead(items: Iterator[_Item], size: int) -> Iterator[list[_Item]]:
+    """The items in lists of `size`, each made while the one before it is used: physics runs while files are written."""
+    with concurrent.futures.ThreadPoolExecutor(max_workers=1) as thread:
+        coming = thread.submit(lambda: list(itertools.islice(items, size)))
+        while batch := coming.result():
+            coming = thread.submit(lambda: list(itertools.islice(items, size)))
+            yield batch
+
+
 def _intact_record(folder: Path, recipe: Mapping[str, Any], expected_sha256: str | None) -> DatasetRecord | None:
     """The record of a finished dataset that need not be made again, or None."""
     try:
@@ -167,7 +177,7 @@ def _write(
     env.close()
 
     digest, lengths, returns = hashlib.sha256(), list[int](), list[float]()
-    while batch := list(itertools.islice(episodes, int(recipe["episodes_per_snapshot"]))):
+    for batch in _ahead(episodes, int(recipe["episodes_per_snapshot"])):
         storage.update_episodes([_buffer(episode) for episode in batch])
         metadata = [{"snapshot": e.snapshot, "policy_sha256": e.policy_hash, "dynamics": name.env_id} for e in batch]
         storage.update_episode_metadata(metadata, range(len(lengths), len(lengths) + len(batch)))
