@@ -31,12 +31,13 @@ demo: $(INSTALLED)  ## rebuild a part of Hopper's data, train three agents on it
 test: $(INSTALLED)  ## all tests
 	$(BIN)/python -m pytest
 
-check: $(INSTALLED)  ## format, lint, types, layers, the leaderboard page
+check: $(INSTALLED)  ## format, lint, types, layers, the leaderboard's pages and entries
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m leaderboard build --check
+	$(BIN)/python -m leaderboard verify --all
 
 benchmark: $(INSTALLED)  ## speeds, as ratios within one run
 	$(BIN)/python -m pytest tests/benchmarks --benchmark-only

@@ -5,7 +5,8 @@ What is here: `ContextPolicy`, which an agent's `policy()` returns. It satisfies
 """
 
 from collections.abc import Callable
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -14,6 +15,37 @@ from torch import Tensor
 
 from agents.interface import History, RobotSpec
 from dynagen_bench.envs import HORIZON
+
+LANES: Final = 10
+"""Episodes in one forward pass: more gain little, and one episode alone costs as much as these."""
+
+
+def blockwise(act: Callable[[History], Tensor], device: torch.device) -> Callable[[History], Tensor]:
+    """`act` (B, K) → (B, A) on its device, for any number of episodes: each acts alone as beside others, bit for bit.
+
+    A matrix product may round a row otherwise in a product of another shape, or where threads share it. So `act` gets
+    blocks of `LANES` episodes, the last one filled up with padding, and each block is one thread's alone: torch's
+    threads take blocks, not parts of products. What is left to chance is that a product treats all its rows alike; the
+    tests hold the whole.
+    """
+
+    def act_alone(block: History) -> Tensor:
+        with torch.inference_mode():  # of this thread
+            return act(History(*(x.to(device) for x in block))).cpu()
+
+    def act_in_blocks(history: History) -> Tensor:
+        lanes = len(history.mask)
+        filled = (torch.cat((x, x.new_zeros(-lanes % LANES, *x.shape[1:]))) for x in history)
+        blocks = list(map(History, *(torch.split(x, LANES) for x in filled)))
+        threads = torch.get_num_threads()
+        if threads == 1 or device.type != "cpu":
+            return torch.cat(list(map(act_alone, blocks)))[:lanes]
+        with ThreadPoolExecutor(min(threads, len(blocks)), initializer=torch.set_num_threads, initargs=(1,)) as pool:
+            actions = list(pool.map(act_alone, blocks))
+        torch.set_num_threads(threads)  # the others' calls are for their threads, and for all threads to come
+        return torch.cat(actions)[:lanes]
+
+    return act_in_blocks
 
 
 class ContextPolicy:

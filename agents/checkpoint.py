@@ -76,7 +76,11 @@ def package_versions() -> dict[str, str]:
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
-    """Write a checkpoint, whole or not at all: if it fails (a full disk), the file that was there stays."""
+    """Write a checkpoint, whole or not at all.
+
+    Raises:
+        OSError: it could not be written (a full disk); the file that was there stays.
+    """
     tensors = {f"parameters/{name}": value for name, value in checkpoint.parameters.items()}
     for name, slots in checkpoint.optimizer.items():
         tensors |= {f"optimizer/{name}/{slot}": value for slot, value in slots.items()}
@@ -94,12 +98,12 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
         "seconds": checkpoint.seconds,
         "versions": dict(checkpoint.versions),
     }
-    with whole_file(path) as unfinished:
-        safetensors.torch.save_file(
-            {name: value.detach().contiguous() for name, value in tensors.items()},
-            unfinished,
-            metadata={METADATA_KEY: json.dumps(metadata)},
-        )
+    tensors = {name: value.detach().contiguous() for name, value in tensors.items()}
+    try:
+        with whole_file(path) as unfinished:
+            safetensors.torch.save_file(tensors, unfinished, metadata={METADATA_KEY: json.dumps(metadata)})
+    except (OSError, safetensors.SafetensorError) as error:
+        raise OSError(f"{path} could not be written ({error}): make room; what was there is kept") from error
 
 
 def load_checkpoint(path: Path, *, agent: str | None = None, robot: str | None = None) -> Checkpoint:

@@ -6,8 +6,14 @@ what an agent does with a window.
 """
 
 import dataclasses
+import functools
 import math
-from typing import Any, Final, Self
+from pathlib import Path
+from typing import Any, Final, Literal, Self, get_args
+
+import torch
+
+Precision = Literal["float32", "bfloat16"]
 
 # Lowest and highest value of each field, both allowed; a whole number is wanted where the low end is an int.
 _RANGES: Final[dict[str, tuple[float, float]]] = {
@@ -25,6 +31,16 @@ _RANGES: Final[dict[str, tuple[float, float]]] = {
     "weight_decay": (0.0, 10.0),
     "gradient_clip": (1e-6, math.inf),
 }
+
+
+@functools.cache
+def fast_precision() -> Precision:
+    """bfloat16 where CUDA or the processor (avx512_bf16, amx_bf16, Arm's bf16) multiplies it, which float32 is not."""
+    if torch.cuda.is_available():
+        return "bfloat16" if torch.cuda.get_device_capability() >= (8, 0) else "float32"
+    processors = Path("/proc/cpuinfo")
+    words = processors.read_text(encoding="utf-8").split() if processors.is_file() else []
+    return "bfloat16" if {"avx512_bf16", "amx_bf16", "bf16"}.intersection(words) else "float32"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,11 +77,21 @@ class TransformerConfig:
     """Of AdamW, on every parameter as in the original Decision Transformer."""
     gradient_clip: float = 1.0
     """Largest norm of the whole gradient."""
+    precision: Precision = dataclasses.field(default_factory=fast_precision)
+    """Of the trunk's products in training; if left out, what this machine does fast. Agents act in float32."""
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
+        if self.precision not in get_args(Precision):
+            raise ValueError(f"precision is {self.precision!r}: give one of {', '.join(get_args(Precision))}")
         if self.embedding % self.heads:
             raise ValueError(f"embedding {self.embedding} does not divide into {self.heads} heads: choose a multiple")
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """`precision`, as torch calls it."""
+        found: torch.dtype = getattr(torch, self.precision)
+        return found
 
     def for_robot(self, robot: str) -> Self:
         """This config with the fields that depend on the robot filled in; here there are none."""

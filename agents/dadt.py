@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from agents.acting import ContextPolicy
 from agents.config import check_ranges
-from agents.dt import ACTION, DecisionTransformer, DTConfig, masked_mean_square
+from agents.dt import ACTION, STATE, DecisionTransformer, DTConfig, masked_mean_square
 from agents.interface import History, RobotSpec
 from agents.trunk import linear
 from dynagen_bench.datasets.windows import Windows
@@ -46,18 +46,19 @@ class DADT(nn.Module):
         self.next_state_head = linear(config.embedding, spec.state_size, generator)
         self.weight = config.next_state_weight
 
-    def next_states(self, encoded: Tensor) -> Tensor:
-        """Normalised next states (B, K, S) from what `dt.encode` gave (B, K, 3, D)."""
-        out: Tensor = self.next_state_head(encoded[:, :, ACTION])
+    def next_states(self, at_actions: Tensor) -> Tensor:
+        """Normalised next states (B, K, S) from the trunk's output at action tokens (B, K, D)."""
+        out: Tensor = self.next_state_head(at_actions)
         return out
 
     def loss(self, windows: Windows, generator: torch.Generator | None) -> tuple[Tensor, dict[str, Tensor]]:
         """Action error + λ · next-state error; see `interface.Agent`."""
-        history, next_observations = History.of(windows), torch.from_numpy(windows.next_observations)
+        device = self.dt.limit.device
+        history, next_observations = History.of(windows, device), torch.from_numpy(windows.next_observations).to(device)
         assert next_observations.shape == history.observations.shape, next_observations.shape
-        encoded = self.dt.encode(history, generator)
-        action_loss = masked_mean_square(self.dt.actions(encoded) - history.actions, history.mask)
-        next_state_loss = masked_mean_square(self.next_states(encoded) - next_observations, history.mask)
+        at_states, at_actions = self.dt.encode(history, (STATE, ACTION), generator)
+        action_loss = masked_mean_square(self.dt.actions(at_states) - history.actions, history.mask)
+        next_state_loss = masked_mean_square(self.next_states(at_actions) - next_observations, history.mask)
         parts = {"action_loss": action_loss, "next_state_loss": next_state_loss}
         return action_loss + self.weight * next_state_loss, parts
 

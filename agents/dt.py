@@ -21,7 +21,7 @@ from typing import Final, Self
 import torch
 from torch import Tensor, nn
 
-from agents.acting import ContextPolicy
+from agents.acting import ContextPolicy, blockwise
 from agents.config import TransformerConfig, check_ranges
 from agents.interface import History, RobotSpec
 from agents.trunk import Trunk, linear
@@ -61,7 +61,7 @@ class DTConfig(TransformerConfig):
 
 
 class StepEncoder(nn.Module):
-    """Steps of M kinds of input → M tokens a step → the trunk's output at each of them."""
+    """Steps of M kinds of input → M tokens a step → the trunk's output at those that are read."""
 
     def __init__(self, sizes: Sequence[int], config: TransformerConfig, generator: torch.Generator) -> None:
         """`sizes`: of the M inputs, in the order of their tokens."""
@@ -72,23 +72,45 @@ class StepEncoder(nn.Module):
         )
         self.norm = nn.LayerNorm(config.embedding)
         self.trunk = Trunk(config, generator)
+        self.dtype = config.dtype
 
     def forward(
-        self, inputs: Sequence[Tensor], timesteps: Tensor, mask: Tensor, generator: torch.Generator | None
-    ) -> Tensor:
-        """M inputs (B, K, size), timesteps (B, K) and mask (B, K) → (B, K, M, D)."""
-        (batch, context), kinds = mask.shape, len(inputs)
+        self,
+        inputs: Sequence[Tensor],
+        timesteps: Tensor,
+        mask: Tensor,
+        kinds: Sequence[int],
+        generator: torch.Generator | None = None,
+    ) -> tuple[Tensor, ...]:
+        """For training: M inputs (B, K, size), timesteps (B, K), mask (B, K) → (B, K, D) for each of `kinds` of token.
+
+        In the precision of the config. Tokens that no head reads are none of `kinds`: the last block leaves them out.
+        """
+        tokens, seen = self._tokens(inputs, timesteps, mask)
+        first = torch.arange(0, tokens.shape[1], len(inputs))  # of each step
+        asked = torch.stack([first + kind for kind in kinds], dim=1).view(-1).to(tokens.device)
+        out = self.trunk(tokens, seen, generator, asked, self.dtype)
+        return tuple(out.view(*mask.shape, len(kinds), -1).unbind(dim=2))
+
+    def last(self, inputs: Sequence[Tensor], timesteps: Tensor, mask: Tensor, kind: int) -> Tensor:
+        """For acting, in float32: the trunk's output (B, D) at the last step's token of a kind."""
+        tokens, seen = self._tokens(inputs, timesteps, mask)
+        here = tokens.shape[1] - len(inputs) + kind  # no token after it matters to it
+        asked = torch.tensor([here], device=tokens.device)
+        out: Tensor = self.trunk(tokens[:, : here + 1], seen[:, : here + 1], asked=asked)
+        return out[:, 0]
+
+    def _tokens(self, inputs: Sequence[Tensor], timesteps: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Tokens (B, K · M, D) in time, R0 s0 a0 R1 s1 a1 ..., and their mask (B, K · M)."""
         embedded = [embed(x) for embed, x in zip(self.embed_inputs, inputs, strict=True)]
         tokens = torch.stack(embedded, dim=2) + self.embed_time(timesteps)[:, :, None]  # (B, K, M, D)
-        tokens = self.norm(tokens).view(batch, context * kinds, -1)  # in time: R0 s0 a0 R1 s1 a1 ...
-        out: Tensor = self.trunk(tokens, mask.repeat_interleave(kinds, dim=1), generator)
-        return out.view(batch, context, kinds, -1)
+        return self.norm(tokens).flatten(1, 2), mask.repeat_interleave(len(inputs), dim=1)
 
 
 def masked_mean_square(error: Tensor, mask: Tensor) -> Tensor:
     """Mean square of error (B, K, X) over the steps of mask (B, K): padding is neither in the sum nor in the number."""
     assert error.shape[:2] == mask.shape, (error.shape, mask.shape)
-    return error[mask].square().mean()
+    return (error.square() * mask[:, :, None]).sum() / (mask.sum() * error.shape[2])
 
 
 class DecisionTransformer(nn.Module):
@@ -103,30 +125,36 @@ class DecisionTransformer(nn.Module):
         self.action_head = linear(config.embedding, spec.action_size, generator)
         self.register_buffer("limit", torch.from_numpy(spec.action_limit), persistent=False)
 
-    def encode(self, history: History, generator: torch.Generator | None = None) -> Tensor:
-        """The trunk's output (B, K, 3, D) at the tokens of each step."""
-        history.check(self.spec.state_size, self.spec.action_size)
-        returns = history.returns_to_go[:, :, None] / self.config.return_scale  # (B, K, 1)
-        inputs = (returns, history.observations, history.actions)
-        out: Tensor = self.encoder(inputs, history.timesteps, history.mask, generator)
+    def encode(
+        self, history: History, kinds: Sequence[int], generator: torch.Generator | None = None
+    ) -> tuple[Tensor, ...]:
+        """The trunk's outputs (B, K, D), one tensor for each of the `kinds` of token."""
+        out: tuple[Tensor, ...] = self.encoder(self._inputs(history), history.timesteps, history.mask, kinds, generator)
         return out
 
-    def actions(self, encoded: Tensor) -> Tensor:
-        """Actions (B, K, A) from what `encode` gave (B, K, 3, D), inside the action space."""
-        return torch.tanh(self.action_head(encoded[:, :, STATE])) * self.limit
+    def actions(self, at_states: Tensor) -> Tensor:
+        """Actions (..., A) from the trunk's output at state tokens (..., D), inside the action space."""
+        return torch.tanh(self.action_head(at_states)) * self.limit
 
     def loss(self, windows: Windows, generator: torch.Generator | None) -> tuple[Tensor, dict[str, Tensor]]:
         """Mean square error of the actions; see `interface.Agent`."""
-        history = History.of(windows)
-        error = self.actions(self.encode(history, generator)) - history.actions
-        loss = masked_mean_square(error, history.mask)
+        history = History.of(windows, self.limit.device)
+        (at_states,) = self.encode(history, (STATE,), generator)
+        loss = masked_mean_square(self.actions(at_states) - history.actions, history.mask)
         return loss, {"action_loss": loss}
 
     def act(self, history: History) -> Tensor:
         """The last step's action (B, A)."""
-        return self.actions(self.encode(history))[:, -1]
+        return self.actions(self.encoder.last(self._inputs(history), history.timesteps, history.mask, STATE))
+
+    def _inputs(self, history: History) -> tuple[Tensor, Tensor, Tensor]:
+        """What the three tokens of a step are made of, (B, K, 1), (B, K, S) and (B, K, A)."""
+        history.check(self.spec.state_size, self.spec.action_size)
+        return history.returns_to_go[:, :, None] / self.config.return_scale, history.observations, history.actions
 
     def policy(self) -> ContextPolicy:
         """Acts for the target return, less what has been achieved."""
         assert self.config.target_return is not None  # for_robot has filled it in
-        return ContextPolicy(self.act, self.config.context, self.spec, self.config.target_return)
+        return ContextPolicy(
+            blockwise(self.act, self.limit.device), self.config.context, self.spec, self.config.target_return
+        )

@@ -68,9 +68,9 @@ class History(NamedTuple):
     """(B, K) bool, False at padded steps."""
 
     @classmethod
-    def of(cls, windows: Windows) -> Self:
+    def of(cls, windows: Windows, device: torch.device | None = None) -> Self:
         """The part of a training window that an agent may see; next observations are a target only."""
-        return cls(*(torch.from_numpy(getattr(windows, field)) for field in cls._fields))
+        return cls(*(torch.from_numpy(getattr(windows, field)).to(device) for field in cls._fields))
 
     def check(self, state_size: int, action_size: int) -> None:
         """Assert the shapes that the fields' documentation states."""

@@ -19,9 +19,10 @@ class Learner:
     """An agent, its optimiser, and how far they are."""
 
     def __init__(self, name: str, config: TransformerConfig, spec: RobotSpec, seed: int) -> None:
-        """An untrained agent; the seed draws its parameters."""
+        """An untrained agent, on CUDA where it is there; the seed draws its parameters."""
         self.name, self.config, self.spec, self.seed = name, config, spec, seed
-        self.agent: Agent = AGENTS[name][1](config, spec, torch.Generator().manual_seed(seed))
+        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.agent: Agent = AGENTS[name][1](config, spec, torch.Generator().manual_seed(seed)).to(device)
         self.optimizer = torch.optim.AdamW(
             self.agent.parameters(),
             lr=config.learning_rate,
@@ -30,7 +31,7 @@ class Learner:
             fused=True,
         )
         self.step, self.seconds = 0, 0.0
-        self._dropout = torch.Generator()
+        self._dropout = torch.Generator(device)
 
     def update(self, sampler: WindowSampler) -> dict[str, float]:
         """One gradient step; returns the losses and the gradient's norm.
@@ -45,11 +46,8 @@ class Learner:
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         norm = torch.nn.utils.clip_grad_norm_(self.agent.parameters(), self.config.gradient_clip)
-        values = {
-            "loss": loss.item(),
-            **{name: part.item() for name, part in parts.items()},
-            "gradient_norm": norm.item(),
-        }
+        numbers = {"loss": loss, **parts, "gradient_norm": norm}
+        values = dict(zip(numbers, torch.stack(list(numbers.values())).tolist(), strict=True))  # one wait for CUDA
         for name, value in values.items():
             if not math.isfinite(value):
                 raise FloatingPointError(

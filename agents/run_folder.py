@@ -7,9 +7,11 @@ any agent.
       config.json             resolved config and settings, data, package versions, git commit
       curves.csv              a line every `log_every` steps; TensorBoard's events beside it in tensorboard/
       last.safetensors        the last checkpoint, from which a killed run continues
-      evaluation.json         the official result: the last checkpoint's in the test dynamics
+      evaluation.json         the official result: the last checkpoint's in the test dynamics; its episodes' traces in
+      evaluation.safetensors  which a submission shows
       best.safetensors        the checkpoint that did best in the test dynamics during training, and its result in
-      evaluation-best.json    the paper's way of reporting; never mixed with the official one
+      evaluation-best.json    the paper's way of reporting, never mixed with the official one; its traces beside it in
+                              evaluation-best.safetensors
 """
 
 import contextlib
@@ -176,3 +178,12 @@ class Curves:
     def close(self) -> None:
         """Close TensorBoard's file."""
         self._board.close()
+
+
+def read_curve(folder: Path, name: str) -> list[tuple[int, float]]:
+    """The points (step, value) of one curve of a run; none if it has no such curve."""
+    path = folder / "curves.csv"
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [(int(row["step"]), float(row[name])) for row in csv.DictReader(file) if row.get(name)]

@@ -4,6 +4,7 @@ What is here: reading finished run folders and writing what the leaderboard take
 the demo. It must not know any agent by name, nor the leaderboard.
 """
 
+import dataclasses
 import os
 import platform
 import sys
@@ -15,9 +16,10 @@ import rich
 import tyro
 
 from agents import AGENTS
-from agents.run_folder import read_json
+from agents.run_folder import RunSettings, read_curve, read_json
 from dynagen_bench.evaluation.result import EpisodeRecord, first_error
-from dynagen_bench.evaluation.submission import Run, Submission, write_submission
+from dynagen_bench.evaluation.submission import CurvePoint, Run, Submission, write_submission
+from dynagen_bench.evaluation.traces import Traces, load_traces
 
 
 def submit(
@@ -52,13 +54,14 @@ def submit(
         raise ValueError("no runs given: name at least one run folder")
     found = [_read_run(folder, checkpoint) for folder in runs]
     configs, records = [config for config, _ in found], [record for _, record in found]
+    traces = [_traces(folder, checkpoint, record) for folder, record in zip(runs, records, strict=True)]
     agent = _the_same("agent", [config["agent"] for config in configs])
     commit = _the_same("commit", [config["commit"] for config in configs])
     for robot in {config["settings"]["robot"] for config in configs}:
         _the_same(f"config for {robot}", [c["config"] for c in configs if c["settings"]["robot"] == robot])
     try:
         submission = Submission(
-            format_version=1,
+            format_version=2,
             agent=name or agent,
             authors=authors,
             description=" ".join((description or _summary(agent), _training_line(configs))),
@@ -71,11 +74,12 @@ def submit(
             hardware=hardware or f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
             hours=sum(record["hours"] for record in records),
             versions=_the_same("versions", [record["versions"] for record in records]),
-            runs=[_run(record) for record in records],
+            commands=[_command(config) for config in configs],
+            runs=[_run(*run) for run in zip(runs, records, traces, strict=True)],
         )
     except pydantic.ValidationError as error:
         raise ValueError(f"not a submission: {first_error(error)}") from error
-    return write_submission(output, submission)
+    return write_submission(output, submission, traces)
 
 
 def _read_run(folder: Path, checkpoint: str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -94,10 +98,23 @@ def _read_run(folder: Path, checkpoint: str) -> tuple[dict[str, Any], dict[str, 
     }  # found in the whole run's time
 
 
-def _run(record: dict[str, Any]) -> Run:
+def _traces(folder: Path, checkpoint: str, record: dict[str, Any]) -> Traces:
+    """The traces of the checkpoint's evaluation."""
+    evaluation = EpisodeRecord.model_validate(record["evaluation"]).evaluation()
+    name = "evaluation.safetensors" if checkpoint == "last" else "evaluation-best.safetensors"
+    return load_traces(folder / name, evaluation.robot, evaluation.lengths)
+
+
+def _run(folder: Path, record: dict[str, Any], traces: Traces) -> Run:
     evaluation = EpisodeRecord.model_validate(record["evaluation"])
+    curve = [CurvePoint(gradient_steps=step, mean_return=value) for step, value in read_curve(folder, "test_return")]
     return Run(
-        robot=evaluation.robot, seed=record["seed"], gradient_steps=record["gradient_steps"], evaluation=evaluation
+        robot=evaluation.robot,
+        seed=record["seed"],
+        gradient_steps=record["gradient_steps"],
+        evaluation=evaluation,
+        trace=traces.sha256,
+        curve=curve,
     )
 
 
@@ -120,6 +137,17 @@ def _training_line(configs: list[dict[str, Any]]) -> str:
     for every in sorted({config["settings"]["every"] for config in configs} - {1}):
         line += f", on a part of the data alone (one in {every} snapshots)"
     return line + "."
+
+
+def _command(config: dict[str, Any]) -> str:
+    """The command that trains a run again: what differs from the defaults, and the precision, which is a machine's."""
+    agent, settings = config["agent"], config["settings"]
+    defaults = dataclasses.asdict(RunSettings(settings["robot"]))
+    changed = {key: settings[key] for key in ("seed", "every") if settings[key] != defaults[key]}
+    usual = dataclasses.asdict(AGENTS[agent][0]().for_robot(settings["robot"])) | {"precision": None}
+    changed |= {key: value for key, value in config["config"].items() if value != usual.get(key)}
+    words = (f"--{key.replace('_', '-')} {value}" for key, value in changed.items())
+    return " ".join([f"python -m agents.train {agent} --robot {settings['robot']}", *words])
 
 
 def main(arguments: list[str] | None = None) -> None:

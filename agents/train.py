@@ -29,13 +29,15 @@ from agents.learner import Learner
 from agents.run_folder import Curves, RunSettings, claimed, git_commit, read_json, write_json
 from dynagen_bench.datasets import OfflineDataset, WindowSampler, load_dataset
 from dynagen_bench.evaluation import Evaluation, evaluate
+from dynagen_bench.evaluation.traces import save_traces
 
 
 def train(name: str, config: TransformerConfig, settings: RunSettings, dataset: OfflineDataset) -> Path:
     """Train an agent, or go on with its run, and evaluate it; returns the run folder.
 
     Raises:
-        ValueError: the data are not training data of the robot, or the run folder is of another run.
+        ValueError: the data are not training data of the robot or not all finite, or the run folder is of another run.
+        OSError: the disk is full; the checkpoint before is kept.
         FloatingPointError: the loss is no number any more; the message names the step, and the last checkpoint stays.
     """
     if dataset.split != "train" or dataset.robot != settings.robot:
@@ -45,6 +47,7 @@ def train(name: str, config: TransformerConfig, settings: RunSettings, dataset: 
     config = config.for_robot(settings.robot)
     folder = settings.folder(name)
     with claimed(folder, describe(name, config, settings, dataset)):
+        check_finite(dataset)
         normalization = dataset.normalization()
         learner = Learner(name, config, RobotSpec.of_robot(settings.robot, normalization), settings.seed)
         last = folder / "last.safetensors"
@@ -93,9 +96,25 @@ def _run(learner: Learner, sampler: WindowSampler, settings: RunSettings, folder
                 save_checkpoint(folder / "last.safetensors", learner.checkpoint())
 
 
+def check_finite(dataset: OfflineDataset) -> None:
+    """Raise ValueError naming the first row of the data that has NaN or infinity."""
+    rows = 1 << 18  # the data may be larger than memory
+    for field in ("observations", "actions", "returns_to_go"):
+        values = getattr(dataset, field)
+        for first in range(0, len(values), rows):
+            part = values[first : first + rows]
+            if not np.isfinite(part).all():
+                row = first + int(np.argwhere(~np.isfinite(part))[0, 0])
+                raise ValueError(
+                    f"{field} of the {dataset.robot} data are not finite in row {row}: build the data anew"
+                )
+
+
 def record_evaluation(learner: Learner, folder: Path, official: bool) -> dict[str, float]:
     """Evaluate in the test dynamics, keep it if it is the best so far or official, and return what the curves show."""
     evaluation = evaluate(learner.agent.policy(), learner.spec.robot, split="test")
+    traces = evaluation.traces
+    assert traces is not None, "evaluate records traces unless told not to"
     record = {
         "agent": learner.name,
         "seed": learner.seed,
@@ -107,9 +126,11 @@ def record_evaluation(learner: Learner, folder: Path, official: bool) -> dict[st
     mean_return = float(evaluation.returns.mean())  # orders as the score does, and needs no reference scores
     best = folder / "evaluation-best.json"
     if not best.is_file() or mean_return > Evaluation.from_json(read_json(best)["evaluation"]).returns.mean():
+        save_traces(best.with_suffix(".safetensors"), traces)
         save_checkpoint(folder / "best.safetensors", dataclasses.replace(learner.checkpoint(), optimizer={}))
         write_json(best, record)
     if official:
+        save_traces(folder / "evaluation.safetensors", traces)
         write_json(folder / "evaluation.json", record)
     return {"test_return": mean_return, **score_if_known(evaluation)}
 
@@ -162,7 +183,7 @@ def main(arguments: list[str] | None = None) -> None:
     commands: Mapping[str, Any] = {name: _command(name, config_class) for name, (config_class, _) in AGENTS.items()}
     try:
         tyro.extras.subcommand_cli_from_dict(dict(commands), args=arguments, description=__doc__)
-    except (ValueError, FileNotFoundError, FloatingPointError) as error:
+    except (ValueError, OSError, FloatingPointError) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
         sys.exit("stopped: give the same command again to continue from the last checkpoint")

@@ -14,22 +14,13 @@ import torch
 from torch import Tensor, nn
 
 from agents.config import TransformerConfig
+from agents.sublayers import Affine, DropoutMasks, attend, drop, perceive
 
 INITIAL_STD: Final = 0.02
 """Of every weight of the trunk, as GPT-2; biases start at 0."""
 
-
-def dropout(x: Tensor, rate: float, generator: torch.Generator | None) -> Tensor:
-    """Zero each element with probability `rate` (to 1/65536) and scale the others up; without a generator, return `x`.
-
-    One 64-bit draw decides four elements: with a draw an element, dropout is a sixth of a training step on a processor.
-    """
-    if generator is None or rate == 0.0:
-        return x
-    dropped = round(rate * 2**16)  # of the 65536 values of a lane
-    draws = torch.empty(math.ceil(x.numel() / 4), dtype=torch.int64).random_(-(2**63), None, generator=generator)
-    lanes = draws.view(torch.int16)[: x.numel()].view(x.shape)
-    return x * (lanes >= dropped - 2**15).to(x.dtype).mul_(1.0 / (1.0 - dropped / 2**16))
+PADDED: Final = -1e30
+"""Added to the score of a key that is padding: beside a key that is none, its weight is exactly 0."""
 
 
 def linear(inputs: int, outputs: int, generator: torch.Generator, std: float | None = None) -> nn.Linear:
@@ -45,24 +36,12 @@ def linear(inputs: int, outputs: int, generator: torch.Generator, std: float | N
 
 
 class SelfAttention(nn.Module):
-    """Causal self-attention of H heads."""
+    """The parameters of causal self-attention of H heads."""
 
     def __init__(self, config: TransformerConfig, generator: torch.Generator) -> None:
         super().__init__()
-        self.heads, self.rate = config.heads, config.dropout
         self.qkv = linear(config.embedding, 3 * config.embedding, generator, INITIAL_STD)
         self.out = linear(config.embedding, config.embedding, generator, INITIAL_STD)
-
-    def forward(self, x: Tensor, hidden: Tensor, generator: torch.Generator | None) -> Tensor:
-        """(B, T, D) → (B, T, D); `hidden` (B, 1, T, T) is True where a query (row) must not see a key (column)."""
-        B, T, D = x.shape  # noqa: N806, the letters of the package
-        q, k, v = self.qkv(x).view(B, T, 3, self.heads, D // self.heads).permute(2, 0, 3, 1, 4)  # each (B, H, T, D/H)
-        # Written out: with dropout PyTorch's own call takes this way too, its masks come from the global generator,
-        # and at 60 tokens the fused kernel gains nothing (8.6 ms against 8.0 ms here, forward and backward).
-        scores = (q @ k.transpose(2, 3)) * (D // self.heads) ** -0.5  # (B, H, T, T)
-        weights = dropout(scores.masked_fill(hidden, -math.inf).softmax(dim=3), self.rate, generator)
-        y = (weights @ v).transpose(1, 2).reshape(B, T, D)  # heads side by side again
-        return dropout(self.out(y), self.rate, generator)
 
 
 class Block(nn.Module):
@@ -70,17 +49,23 @@ class Block(nn.Module):
 
     def __init__(self, config: TransformerConfig, generator: torch.Generator) -> None:
         super().__init__()
-        self.rate = config.dropout
+        self.heads = config.heads
         self.norm1 = nn.LayerNorm(config.embedding)
         self.attention = SelfAttention(config, generator)
         self.norm2 = nn.LayerNorm(config.embedding)
         self.widen = linear(config.embedding, 4 * config.embedding, generator, INITIAL_STD)
         self.narrow = linear(4 * config.embedding, config.embedding, generator, INITIAL_STD)
 
-    def forward(self, x: Tensor, hidden: Tensor, generator: torch.Generator | None) -> Tensor:
-        """(B, T, D) → (B, T, D)."""
-        x = x + self.attention(self.norm1(x), hidden, generator)
-        return x + dropout(self.narrow(self.widen(self.norm2(x)).relu_()), self.rate, generator)
+    def forward(self, x: Tensor, hidden: Tensor, asked: Tensor | None, masks: DropoutMasks | None) -> Tensor:
+        """(B, T, D) → (B, T', D) at the tokens asked for (T',); `hidden` (B · H, T', T) is added to the scores."""
+        qkv, out = affine(self.attention.qkv), affine(self.attention.out)
+        x = attend(x, affine(self.norm1), qkv, out, self.heads, hidden, asked, masks)
+        return perceive(x, affine(self.norm2), affine(self.widen), affine(self.narrow), hidden.dtype, masks)
+
+
+def affine(layer: nn.Linear | nn.LayerNorm) -> Affine:
+    """The parameters of a layer."""
+    return Affine(layer.weight, layer.bias)
 
 
 class Trunk(nn.Module):
@@ -88,24 +73,42 @@ class Trunk(nn.Module):
 
     def __init__(self, config: TransformerConfig, generator: torch.Generator) -> None:
         super().__init__()
-        self.rate = config.dropout
+        self.heads, self.rate = config.heads, config.dropout
         self.blocks = nn.ModuleList(Block(config, generator) for _ in range(config.layers))
         self.norm = nn.LayerNorm(config.embedding)
 
-    def forward(self, tokens: Tensor, mask: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """(B, T, D) → (B, T, D).
+    def forward(
+        self,
+        tokens: Tensor,
+        mask: Tensor,
+        generator: torch.Generator | None = None,
+        asked: Tensor | None = None,
+        dtype: torch.dtype = torch.float32,
+    ) -> Tensor:
+        """(B, T, D) → (B, T', D).
 
         Args:
             tokens: (B, T, D) float32.
             mask: (B, T) bool, False at padding; what comes out there means nothing.
             generator: draws dropout; None leaves dropout out.
+            asked: (T',) int64, the tokens whose output is wanted, all if left out. The last block computes no other.
+            dtype: of the matrix products.
         """
-        length = tokens.shape[1]
-        later = torch.ones(length, length, dtype=torch.bool).triu(diagonal=1)  # (T, T), True right of the diagonal
-        hidden = later | ~mask[:, None, None, :]  # (B, 1, T, T)
-        hidden &= ~torch.eye(length, dtype=torch.bool)  # padding sees itself: a row with nothing to see would be NaN
-        x = dropout(tokens, self.rate, generator)
-        for block in self.blocks:
-            x = block(x, hidden, generator)
-        out: Tensor = self.norm(x)
+        hidden = hidden_from(mask, self.heads, dtype)
+        masks = DropoutMasks.of(self.rate, generator)
+        x = drop(tokens, masks)
+        for block in self.blocks[:-1]:
+            x = block(x, hidden, None, masks)
+        out: Tensor = self.norm(self.blocks[-1](x, hidden if asked is None else hidden[:, asked], asked, masks))
         return out
+
+
+def hidden_from(mask: Tensor, heads: int, dtype: torch.dtype) -> Tensor:
+    """What is added to scores of (query, key), (B · H, T, T): 0 where it sees, -inf or -1e30 if not; mask (B, T).
+
+    A key that is padding gets a finite number: a query with nothing else to see (padding too) would be NaN.
+    """
+    length = mask.shape[1]
+    later = torch.full((length, length), -math.inf, dtype=dtype, device=mask.device).triu(diagonal=1)
+    padding = (~mask).to(dtype) * PADDED  # (B, T)
+    return (padding[:, None, :] + later).repeat_interleave(heads, dim=0)

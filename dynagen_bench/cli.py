@@ -8,7 +8,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import rich
@@ -23,7 +23,7 @@ from dynagen_bench.datasets import commands
 from dynagen_bench.datasets.cards import write_data_card
 from dynagen_bench.dynamics import PARAMETERS, draw_dynamics, factor_array, load_dynamics, nominal_robot
 from dynagen_bench.envs.pages import write_page
-from dynagen_bench.evaluation.baselines import random_submission
+from dynagen_bench.evaluation.baselines import baseline_submission
 from dynagen_bench.evaluation.submission import write_submission
 from dynagen_bench.pictures import render_video, write_gallery, write_strip
 
@@ -264,14 +264,21 @@ def data_card_page(robot: Robot, output: Path | None = None) -> None:
     write_data_card(robot, output)
 
 
-def baseline(robot: Robot, output: Path) -> None:
-    """Evaluate the random policy in a robot's test dynamics, five seeds, and write it as a submission.
+def baseline(
+    robots: Annotated[list[str], tyro.conf.Positional],
+    output: Path,
+    policy: Literal["random", "behaviour", "expert"] = "random",
+    runs: int = 5,
+) -> None:
+    """Evaluate a baseline in the test dynamics of robots, and write it as a submission with traces.
 
     Args:
-        robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
+        robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
         output: the folder of the submission.
+        policy: random, behaviour (what made the test dynamics' data), or expert (the best of those; one run).
+        runs: seeds of each robot.
     """
-    write_submission(output, random_submission(ids.check_robot(robot)))
+    write_submission(output, *baseline_submission(policy, robots, runs))
 
 
 COMMANDS: dict[str, Callable[..., None]] = {

@@ -1,16 +1,22 @@
-"""The command line: `python -m leaderboard submit DIR`, `build`, `show`."""
+"""The command line: `python -m leaderboard verify DIR`, `submit DIR`, `rerun`, `build`, `show`, `schema`."""
 
+import contextlib
 import sys
-from importlib.metadata import version
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import rich.console
+import rich.progress
 import tyro
 
+from dynagen_bench.evaluation.submission import schema_text
 from leaderboard import board as boards
-from leaderboard.entries import read_entries
+from leaderboard.entries import read_entries, read_official
 from leaderboard.terminal import show_tables
+from leaderboard.verify import RunCheck
+from leaderboard.verify import verify as verify_submission
+from leaderboard.verify_table import checks_table
 
 
 def submit(
@@ -18,23 +24,66 @@ def submit(
     board: Path = boards.BOARD,
     replace: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> None:
-    """Check a submission, compute its scores from its returns, add it to the board and make the page anew.
+    """Verify a submission by replay, add it to the board and make the page anew: all of it or nothing.
 
     Args:
-        directory: Folder that holds submission.json.
+        directory: Folder that holds submission.json and traces/.
         board: The board's folder, with entries/ and LEADERBOARD.md.
         replace: Take the place of an entry of the same name.
     """
-    entry = boards.submit(directory, board, replace)
-    print(f"added {entry.slug}; the page is {board / boards.PAGE}")
-    here = version("mujoco")
-    others = sorted({run.evaluation.mujoco for run in entry.submission.runs} - {here})
-    if others:
-        print(f"note: evaluated with MuJoCo {', '.join(others)}, here is {here}: returns differ between versions")
+    with _progress() as done:
+        entry = boards.submit(directory, board, replace, done)
+    print(f"added {entry.slug}, {entry.label}; the page is {board / boards.PAGE}")
+
+
+def verify(
+    directory: Annotated[Path | None, tyro.conf.Positional] = None,
+    every: Annotated[tyro.conf.FlagCreatePairsOff[bool], tyro.conf.arg(name="all")] = False,
+    board: Path = boards.BOARD,
+) -> int:
+    """Step every episode of a submission again and compare: status 0 if all is as it says, else 2 and a line a fault.
+
+    Args:
+        directory: Folder that holds submission.json and traces/.
+        every: Instead, verify every entry of the board.
+        board: The board's folder.
+    """
+    try:
+        if (directory is None) != every:
+            raise ValueError("give either the folder of a submission, or --all")
+        with _progress() as done:
+            if directory is None:
+                found: Mapping[str, Sequence[RunCheck]] = boards.verify_entries(board, done)
+            else:
+                found = {str(directory): verify_submission(directory, read_official(directory), done)}
+    except (OSError, ValueError) as error:
+        print(f"leaderboard: {error}", file=sys.stderr)
+        return 2
+    for name, checks in found.items():
+        rich.console.Console().print(checks_table(name, checks))
+    faults = [fault for checks in found.values() for check in checks for fault in check.faults]
+    for fault in faults:
+        print(f"leaderboard: {fault}", file=sys.stderr)
+    return 2 if faults else 0
+
+
+def rerun(
+    slug: Annotated[str, tyro.conf.Positional],
+    directory: Annotated[Path, tyro.conf.Positional],
+    board: Path = boards.BOARD,
+) -> None:
+    """For maintainers: label an entry re-run, if your own runs of its policy did the same in every episode.
+
+    Args:
+        slug: The entry's name.
+        directory: Folder of the submission that your runs gave.
+        board: The board's folder.
+    """
+    print(f"{boards.rerun(slug, directory, board).slug} is labelled re-run")
 
 
 def build(board: Path = boards.BOARD, check: tyro.conf.FlagCreatePairsOff[bool] = False) -> None:
-    """Make LEADERBOARD.md from the entries.
+    """Make LEADERBOARD.md and site/index.html from the entries.
 
     Args:
         board: The board's folder, with entries/ and LEADERBOARD.md.
@@ -55,19 +104,41 @@ def show(board: Path = boards.BOARD) -> None:
     show_tables(read_entries(board), rich.console.Console())
 
 
+def schema() -> None:
+    """Print the JSON Schema of submission.json, which is docs/submission.schema.json."""
+    sys.stdout.write(schema_text())
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator[Callable[[RunCheck], None]]:
+    """A line on stderr that counts the runs and episodes verified; gone when it ends."""
+    columns = (rich.progress.SpinnerColumn(), "{task.description}", rich.progress.TimeElapsedColumn())
+    console = rich.console.Console(stderr=True)
+    with rich.progress.Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("replaying", total=None)
+        seen: list[RunCheck] = []
+
+        def done(check: RunCheck) -> None:
+            seen.append(check)
+            steps = sum(one.transitions for one in seen)
+            bar.update(task, description=f"replayed {len(seen)} runs, {steps:,} transitions")
+
+        yield done
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command; what is wrong is said in one line on stderr, with status 1."""
+    """Run one command; what is wrong is said in one line on stderr, with status 1, or 2 of `verify`."""
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            {"submit": submit, "build": build, "show": show},
+        status = tyro.extras.subcommand_cli_from_dict(
+            {"submit": submit, "verify": verify, "rerun": rerun, "build": build, "show": show, "schema": schema},
             prog="python -m leaderboard",
-            description="The leaderboard: add a submission, make the page, show the tables.",
+            description="The leaderboard: verify and add submissions, make the page, show the tables.",
             args=arguments,
         )
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RuntimeError) as error:
         print(f"leaderboard: {error}", file=sys.stderr)
         return 1
-    return 0
+    return status if isinstance(status, int) else 0
 
 
 if __name__ == "__main__":

@@ -1,17 +1,21 @@
-"""Changing a board: an entry in and the page made anew, both or neither.
+"""Changing a board: an entry in and the pages made anew, both or neither.
 
-What is here: `submit`, `build` and `is_current`. Called by the command line and the demo. It must not know how tables
-look.
+What is here: `submit`, `rerun`, `build`, `is_current` and `verify_entries`. Called by the command line and the demo. It
+must not know how tables look.
 """
 
 import contextlib
-import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from leaderboard.entries import Entry, read_entries, read_official, remove_entry, slug_of, store_entry
+from dynagen_bench.evaluation.submission import FILE_NAME, Submission, trace_content
+from dynagen_bench.whole import exclusively, whole_file
+from leaderboard.entries import FOLDER, VERDICT, Entry, entry_in_place, read_entries, read_official, recover, slug_of
 from leaderboard.markdown import page
+from leaderboard.site.builder import SITE, site_page
+from leaderboard.standings import run_scores
+from leaderboard.verify import RunCheck, label_of, verify
 
 BOARD: Final = Path(__file__).parent
 """The project's own board, this folder."""
@@ -19,16 +23,24 @@ BOARD: Final = Path(__file__).parent
 PAGE: Final = "LEADERBOARD.md"
 
 
-def submit(folder: Path, board: Path = BOARD, replace: bool = False) -> Entry:
-    """Check the submission in `folder`, copy it into the board and make the page anew; returns the entry.
+def ignore(check: RunCheck) -> None:
+    """Nobody is told how far a verification is."""
 
-    Everything that can be wrong is found before anything is written, and what fails later is taken back. A kill between
-    the last two renames leaves the entry in and the page behind it, which `is_current` sees and `build` mends.
+
+def submit(
+    folder: Path, board: Path = BOARD, replace: bool = False, done: Callable[[RunCheck], None] = ignore
+) -> Entry:
+    """Verify the submission in `folder`, copy it into the board and make the pages anew; returns the entry.
+
+    What is stored are the returns of the replay. Everything that can be wrong is found before anything is written, and
+    what fails later is taken back. A kill after the entry is in leaves the pages behind it, which `is_current` sees and
+    the next `submit` or `build` mends. Two at once wait for each other.
 
     Args:
-        folder: holds `submission.json`; nothing else in it is read or copied.
+        folder: holds `submission.json` and the traces that it names; nothing else in it is read or copied.
         board: the board's folder.
         replace: take the place of an entry of the same name.
+        done: called with each run that has been verified.
 
     Raises:
         FileNotFoundError: there is no submission in `folder`.
@@ -36,45 +48,138 @@ def submit(folder: Path, board: Path = BOARD, replace: bool = False) -> Entry:
         ValueError: one line naming the file and the field that is wrong.
     """
     submission = read_official(folder)
-    entry = Entry(slug_of(submission), submission)
-    entries = {other.slug: other for other in read_entries(board)} if board.is_dir() else {}
-    previous = entries.get(entry.slug)
-    if previous is not None and not replace:
-        raise FileExistsError(f"{board} has an entry {entry.slug!r}: give --replace, or another name to the agent")
-    entries[entry.slug] = entry
-    with _page_aside(board, page([entries[slug] for slug in sorted(entries)])) as unfinished:
-        try:
-            store_entry(board, entry)
-            os.replace(unfinished, board / PAGE)
-        except BaseException:  # an interruption too: the board is put back as it was
-            if previous is not None:
-                store_entry(board, previous)
-            else:
-                remove_entry(board, entry.slug)
-            raise
+    run_scores(submission)  # there have to be reference scores
+    _check_name(board, slug_of(submission), replace)
+    checks = verify(folder, submission, done)
+    faults = [fault for check in checks for fault in check.faults]
+    if faults:
+        more = f" (and {len(faults) - 1} more: `python -m leaderboard verify`)" if len(faults) > 1 else ""
+        raise ValueError(faults[0] + more)
+    entry = Entry(slug_of(submission), _with_returns(submission, checks), label_of(checks))
+    with _locked(board):
+        _check_name(board, entry.slug, replace)
+        _put(board, entry, folder)
     return entry
 
 
+def rerun(slug: str, folder: Path, board: Path = BOARD) -> Entry:
+    """Label an entry `re-run`, if the maintainers' own submission of the same agent did the same in every episode.
+
+    Args:
+        slug: the entry's name.
+        folder: what the maintainers' runs of the policy wrote, with the entry's robots and seeds.
+        board: the board's folder.
+
+    Raises:
+        FileNotFoundError: there is no submission in `folder`, or no such entry.
+        ValueError: the entry has not been replayed exactly, or a run is missing in `folder` or did something else.
+    """
+    own = {(run.robot, run.seed): run for run in read_official(folder).runs}
+    with _locked(board):
+        entry = next((entry for entry in read_entries(board) if entry.slug == slug), None)
+        if entry is None:
+            raise FileNotFoundError(f"{board / FOLDER} has no entry {slug!r}")
+        if entry.label not in ("replayed", "re-run"):
+            raise ValueError(f"{slug} is {entry.label}: only what was replayed exactly can be re-run")
+        for run in entry.submission.runs:
+            mine = own.get((run.robot, run.seed))
+            if mine is None or mine.trace != run.trace:
+                what = "is missing" if mine is None else "did something else"
+                raise ValueError(f"{folder / FILE_NAME}: the run of {run.robot} with seed {run.seed} {what}")
+            trace_content(folder, mine)  # the file is what its hash says
+        entry = Entry(slug, entry.submission, "re-run")
+        _put(board, entry, board / FOLDER / slug)
+    return entry
+
+
+def verify_entries(board: Path = BOARD, done: Callable[[RunCheck], None] = ignore) -> dict[str, list[RunCheck]]:
+    """Replay every entry of a board: slug → what was found of its runs.
+
+    An entry whose label says more than its replay has a fault, too: what is exact only on the board's own machine is
+    replayed within the tolerance elsewhere, and that is none.
+    """
+    found = {}
+    for entry in read_entries(board):
+        checks = verify(board / FOLDER / entry.slug, entry.submission, done)
+        if entry.label != "self-reported" and any(check.label == "self-reported" for check in checks):
+            line = (
+                f"{board / FOLDER / entry.slug / VERDICT}: label: {entry.label!r}, but the replay does not bear it out"
+            )
+            checks[0] = checks[0]._replace(faults=(*checks[0].faults, line))
+        found[entry.slug] = checks
+    return found
+
+
 def build(board: Path = BOARD) -> Path:
-    """Make the page from the entries and return its path; raises as `read_entries` does, the old page stays then."""
-    with _page_aside(board, page(read_entries(board))) as unfinished:
-        os.replace(unfinished, board / PAGE)
-    return board / PAGE
+    """Make LEADERBOARD.md and site/index.html from the entries, and return the former's path.
+
+    Raises as `read_entries` does; the old pages stay then.
+    """
+    read_entries(board)
+    with _locked(board), _pages_in_place(board, _pages(read_entries(board))):
+        return board / PAGE
 
 
 def is_current(board: Path = BOARD) -> bool:
-    """Whether the page is what `build` would write, byte for byte."""
-    path = board / PAGE
-    return path.is_file() and path.read_bytes() == page(read_entries(board)).encode("utf-8")
+    """Whether every page is what `build` would write, byte for byte."""
+    pages = _pages(read_entries(board))
+    return all((board / name).is_file() and (board / name).read_bytes() == text for name, text in pages.items())
+
+
+def _pages(entries: Sequence[Entry]) -> dict[str, bytes]:
+    """What is made from the entries: name of the file in the board's folder → its bytes."""
+    return {PAGE: page(entries).encode("utf-8"), SITE: site_page(entries).encode("utf-8")}
 
 
 @contextlib.contextmanager
-def _page_aside(board: Path, text: str) -> Iterator[Path]:
-    """The page's text in a file beside it, which is gone afterwards, renamed or not."""
-    board.mkdir(parents=True, exist_ok=True)
-    unfinished = board / f"{PAGE}.{os.getpid()}.unfinished"
+def _locked(board: Path) -> Iterator[None]:
+    """Be the only one who changes the board, after what a killed one has left is put right."""
+    with exclusively(board / FOLDER):
+        recover(board)
+        yield
+
+
+def _check_name(board: Path, slug: str, replace: bool) -> None:
+    if not replace and (board / FOLDER / slug).is_dir():
+        raise FileExistsError(f"{board} has an entry {slug!r}: give --replace, or another name to the agent")
+
+
+def _with_returns(submission: Submission, checks: Sequence[RunCheck]) -> Submission:
+    """The submission with the returns that the replay gave: the board believes no other."""
+    runs = [
+        check.run.model_copy(
+            update={"evaluation": check.run.evaluation.model_copy(update={"returns": check.returns.tolist()})}
+        )
+        for check in checks
+    ]
+    return submission.model_copy(update={"runs": runs})
+
+
+def _put(board: Path, entry: Entry, source: Path) -> None:
+    """Entry and pages, both or neither."""
+    entries = {other.slug: other for other in read_entries(board)} | {entry.slug: entry}
+    pages = _pages([entries[slug] for slug in sorted(entries)])
+    with entry_in_place(board, entry, source), _pages_in_place(board, pages):
+        pass
+
+
+@contextlib.contextmanager
+def _pages_in_place(board: Path, pages: Mapping[str, bytes]) -> Iterator[None]:
+    """Write the pages; after an error, here or in the block, they are what they were."""
+    before = {name: (board / name).read_bytes() if (board / name).is_file() else None for name in pages}
     try:
-        unfinished.write_bytes(text.encode("utf-8"))
-        yield unfinished
-    finally:
-        unfinished.unlink(missing_ok=True)
+        _write(board, pages)
+        yield
+    except BaseException:  # an interruption too
+        _write(board, before)
+        raise
+
+
+def _write(board: Path, pages: Mapping[str, bytes | None]) -> None:
+    for name, text in pages.items():
+        path = board / name
+        if text is None:
+            path.unlink(missing_ok=True)
+        elif not path.is_file() or path.read_bytes() != text:
+            with whole_file(path) as unfinished:
+                unfinished.write_bytes(text)

@@ -1,28 +1,54 @@
 """The entries of a board: submissions that passed every check, one folder each.
 
-What is here: what the board accepts, and reading and storing entries. Called by `board`. It must not know tables.
+What is here: what the board accepts, and reading and storing entries. Called by `board`. It must not know tables, nor
+how a submission is verified.
 
     board/
       LEADERBOARD.md              made from the entries
       entries/
         dadt-zero-shot-last/
-          submission.json         as `dynagen_bench.evaluation.submission` writes it
+          submission.json         as `dynagen_bench.evaluation.submission` writes it, with the replay's returns
+          traces/                 the traces it names
+          verification.json       what the board found; not there if there is nothing to replay
 """
 
+import contextlib
 import dataclasses
+import functools
 import hashlib
 import os
 import re
 import shutil
 import unicodedata
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
+
+import pydantic
 
 from dynagen_bench import ids
 from dynagen_bench.evaluation import EPISODES, reset_seeds
-from dynagen_bench.evaluation.submission import FILE_NAME, Run, Submission, read_submission, write_submission
+from dynagen_bench.evaluation.result import STRICT, first_error
+from dynagen_bench.evaluation.sealed import read_inside
+from dynagen_bench.evaluation.submission import (
+    FILE_NAME,
+    Run,
+    Sha256,
+    Submission,
+    read_submission,
+    submission_text,
+    trace_content,
+)
+from dynagen_bench.whole import whole_file
 
 FOLDER: Final = "entries"
+VERDICT: Final = "verification.json"
+
+Label = Literal["self-reported", "replayed (tolerance)", "replayed", "re-run"]
+"""What is known of an entry's returns, from the least to the most: they were sent in; its actions give them, but for
+rounding; its actions give them exactly; maintainers have run the policy itself, and it did the same."""
+
+LABELS: Final[tuple[Label, ...]] = ("self-reported", "replayed (tolerance)", "replayed", "re-run")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,6 +58,17 @@ class Entry:
     slug: str
     """Its folder's name."""
     submission: Submission
+    label: Label = "self-reported"
+
+
+class Verdict(pydantic.BaseModel):
+    """What the board found when it verified an entry; it says so itself, no submission does."""
+
+    model_config = STRICT
+
+    label: Label
+    submission: Sha256
+    """SHA-256 of the `submission.json` that was verified, which names its traces by hash."""
 
 
 def slug_of(submission: Submission) -> str:
@@ -71,13 +108,21 @@ def _unofficial(run: Run) -> str | None:
     episodes = len(evaluation.returns[0])
     if episodes != EPISODES:
         return f"returns: {episodes} episodes in each dynamics, the board takes {EPISODES}"
-    if evaluation.seeds != reset_seeds(run.robot, "test", every).tolist():
+    if evaluation.seeds != _official_seeds(run.robot):
         return "seeds: they are not the official reset seeds, evaluate with the default seed"
     return None
 
 
+@functools.cache
+def _official_seeds(robot: str) -> list[list[int]]:
+    seeds: list[list[int]] = reset_seeds(robot, "test", range(ids.SPLIT_SIZES["test"])).tolist()
+    return seeds
+
+
 def read_entries(board: Path) -> list[Entry]:
     """Read every entry of a board, in order of slugs; what an interrupted submit left behind is passed over.
+
+    Labels are those that the board has written down; nothing is replayed.
 
     Raises:
         FileNotFoundError: there is no such board, or an entry's folder is without its file.
@@ -96,24 +141,76 @@ def read_entries(board: Path) -> list[Entry]:
             raise ValueError(
                 f"{place / FILE_NAME}: belongs into the folder {slug_of(submission)!r}, not {place.name!r}"
             )
-        entries.append(Entry(place.name, submission))
+        entries.append(Entry(place.name, submission, _read_label(place, submission)))
     return entries
 
 
-def store_entry(board: Path, entry: Entry) -> None:
-    """Put an entry into its folder, in place of the one that was there; a kill leaves the old state or the new one."""
-    place = board / FOLDER / entry.slug
-    if place.is_dir():
-        write_submission(place, entry.submission)
-        return
-    unfinished = place.with_name(f".{entry.slug}.{os.getpid()}.unfinished")
+def _read_label(place: Path, submission: Submission) -> Label:
+    path = place / VERDICT
     try:
-        write_submission(unfinished, entry.submission)
-        os.rename(unfinished, place)
-    finally:
+        verdict = Verdict.model_validate_json(read_inside(place, VERDICT, 4096))
+    except FileNotFoundError:
+        return "self-reported"
+    except pydantic.ValidationError as error:
+        raise ValueError(f"{path}: {first_error(error)}") from error
+    if verdict.submission != _digest(submission):
+        raise ValueError(f"{path}: submission: it was made for another {FILE_NAME}, submit the entry again")
+    return verdict.label
+
+
+def _digest(submission: Submission) -> str:
+    return hashlib.sha256(submission_text(submission).encode("utf-8")).hexdigest()
+
+
+@contextlib.contextmanager
+def entry_in_place(board: Path, entry: Entry, source: Path) -> Iterator[None]:
+    """Put an entry into its folder, in place of the one that was there, for as long as the block ends well.
+
+    After an error in the block, or before it, the board has what it had. The caller holds the board's lock; a kill
+    leaves the old entry or the new one, where `recover` has been called.
+
+    Args:
+        board: the board's folder.
+        entry: what to store.
+        source: the folder of the submission, whose traces are copied; the entry's own folder, too.
+    """
+    place = board / FOLDER / entry.slug
+    unfinished, replaced = (place.with_name(f".{entry.slug}.{state}") for state in ("unfinished", "replaced"))
+    new = not place.is_dir()
+    try:
+        _fill(unfinished, entry, source)
+        if not new:
+            os.replace(place, replaced)
+        os.replace(unfinished, place)
+        yield
+    except BaseException:  # an interruption too
         shutil.rmtree(unfinished, ignore_errors=True)
+        if new or replaced.is_dir():
+            shutil.rmtree(place, ignore_errors=True)
+        if replaced.is_dir():
+            os.replace(replaced, place)
+        raise
+    shutil.rmtree(replaced, ignore_errors=True)
 
 
-def remove_entry(board: Path, slug: str) -> None:
-    """Take an entry off the board; one that is not there is no error."""
-    shutil.rmtree(board / FOLDER / slug, ignore_errors=True)
+def _fill(place: Path, entry: Entry, source: Path) -> None:
+    for run in entry.submission.runs:
+        if run.trace is not None:  # one at a time in memory, and compared with its hash again
+            with whole_file(place / run.trace_name) as unfinished:
+                unfinished.write_bytes(trace_content(source, run))
+    if entry.label != "self-reported":
+        verdict = Verdict(label=entry.label, submission=_digest(entry.submission))
+        with whole_file(place / VERDICT) as unfinished:
+            unfinished.write_text(verdict.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    with whole_file(place / FILE_NAME) as unfinished:
+        unfinished.write_text(submission_text(entry.submission), encoding="utf-8")
+
+
+def recover(board: Path) -> None:
+    """Finish or take back what a killed submit has left; the caller holds the board's lock."""
+    for left in sorted((board / FOLDER).glob(".*.replaced")):
+        place = left.with_name(left.name.removeprefix(".").removesuffix(".replaced"))
+        if not place.exists():
+            os.replace(left, place)
+    for left in [*(board / FOLDER).glob(".*.replaced"), *(board / FOLDER).glob(".*.unfinished")]:
+        shutil.rmtree(left, ignore_errors=True)

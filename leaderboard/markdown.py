@@ -22,9 +22,7 @@ from leaderboard.standings import (
     dynamics_scores,
     standings,
 )
-
-LABEL: Final = "self-reported"
-"""What is known of an entry's returns: they were sent in, and nobody has run the policy again."""
+from leaderboard.statistics import Rank
 
 INTRODUCTION: Final = f"""\
 # Leaderboard
@@ -35,8 +33,14 @@ A score is 100 · (mean return − min) / (max − min): {EPISODES} episodes of 
 of a robot, min and max over the returns of those dynamics' data. Given is the mean over runs ± their sample standard
 deviation; **bold** is within one standard deviation of the best of its table. A full entry has {RUNS} runs on each of
 the {len(ids.ROBOTS)} robots, others are marked *partial*. Every number is computed from the returns of the entry's
-episodes; *{LABEL}* says that nobody has replayed them yet. The behaviour data were collected in the test dynamics
+episodes: *self-reported* were only sent in, *replayed* were found by stepping every episode again from its trace, and
+of *re-run* the maintainers have run the policy itself. The behaviour data were collected in the test dynamics
 themselves: a reference, and no entry.
+
+Where an entry has two runs or more, a second table gives the interquartile mean of the scores of its runs in each
+dynamics, a 95 % interval (stratified bootstrap over runs) and its rank. Entries whose intervals overlap share ranks:
+the rank is a range, from one more than the entries whose interval lies wholly above, to all but those wholly below.
+What knew the test dynamics themselves is a reference too: it is neither bold nor ranked.
 """
 
 _ENTITIES: Final = {"&": "&amp;", "<": "&lt;", ">": "&gt;"}
@@ -58,7 +62,10 @@ def page(entries: Sequence[Entry]) -> str:
     tables = standings(entries)
     if not tables:
         parts.append("There are no entries yet.\n")
-    parts += [_table(table) for table in tables]
+    for table in tables:
+        parts.append(_table(table))
+        if any(cell.iqm.interval for row in table.rows for cell in row.cells.values()):
+            parts.append(_ranks(table))
     if entries:
         parts.append("## Entries\n")
     parts += [_entry(row.entry) for table in tables for row in table.rows]
@@ -71,6 +78,21 @@ def score_text(cell: Cell | None) -> str:
         return "–"
     text = number_text(cell.mean) if cell.std is None else f"{number_text(cell.mean)} ± {number_text(cell.std)}"
     return text if cell.runs == RUNS else f"{text} ({cell.runs} run{'s' * (cell.runs != 1)})"
+
+
+def iqm_text(cell: Cell | None) -> str:
+    """`74.69 [70.10, 78.02]`, the interquartile mean and its interval; `–` where there are no two runs."""
+    if cell is None or cell.iqm.interval is None:
+        return "–"
+    low, high = cell.iqm.interval
+    return f"{number_text(cell.iqm.value)} [{number_text(low)}, {number_text(high)}]"
+
+
+def rank_text(rank: Rank | None) -> str:
+    """`2`, or `1–3` for a range of ranks; `–` for none."""
+    if rank is None:
+        return "–"
+    return str(rank.best) if rank.best == rank.worst else f"{rank.best}–{rank.worst}"
 
 
 def number_text(value: float) -> str:
@@ -96,6 +118,22 @@ def _table(table: Table) -> str:
     return "".join(lines)
 
 
+def _ranks(table: Table) -> str:
+    columns = [*ids.ROBOTS, "All robots"]
+    lines = [
+        "Interquartile mean [95 % interval], rank:\n\n",
+        _line(["Agent", *columns]),
+        _line(["---"] * (1 + len(columns))),
+    ]
+    for row in table.rows:
+        cells = [*(row.cells.get(robot) for robot in ids.ROBOTS), row.overall]
+        texts = [
+            f"{iqm_text(cell)}, {rank_text(cell.rank)}" if cell and cell.rank else iqm_text(cell) for cell in cells
+        ]
+        lines.append(_line([escape(row.entry.submission.agent), *texts]))
+    return "".join(lines)
+
+
 def _row(row: Row) -> list[str]:
     submission = row.entry.submission
     cells = []
@@ -104,7 +142,7 @@ def _row(row: Row) -> list[str]:
         text = score_text(cell)
         cells.append(f"**{text}**" if cell is not None and cell.bold else text)
     agent = escape(submission.agent) + (" *(partial)*" if row.partial else "")
-    return [agent, authors_text(submission.authors), *cells, submission.privileged, LABEL]
+    return [agent, authors_text(submission.authors), *cells, submission.privileged, row.entry.label]
 
 
 def authors_text(authors: Sequence[str]) -> str:

@@ -5,14 +5,18 @@ must not know files.
 """
 
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dynagen_bench import ids
 from dynagen_bench.datasets.scores import normalized_score
 from dynagen_bench.evaluation import data_returns
 from dynagen_bench.evaluation.submission import Submission
 from leaderboard.entries import Entry
+from leaderboard.statistics import Estimate, Rank, Scores, interquartile_mean, ranks
 
 RUNS: Final = 5
 """Runs of a full entry on each robot (paper, section 5.1)."""
@@ -23,16 +27,25 @@ CHECKPOINTS: Final = {"last": "last checkpoint (official)", "best": "best checkp
 """They are never in one table: the best checkpoint was chosen by its score in the test dynamics."""
 
 
+REFERENCE: Final = "test-dynamics"
+"""Who knew the test dynamics themselves is shown to compare with, and is neither marked nor ranked."""
+
+
 class Cell(NamedTuple):
-    """The score of one entry on one robot."""
+    """The score of one entry on one robot, or over all of them."""
 
     mean: float
-    """Over the runs."""
+    """Over the runs; over all robots, of the robots' means."""
     std: float | None
-    """Sample standard deviation over the runs; None for a single one."""
+    """Sample standard deviation over the runs; None for a single one, and over all robots."""
     runs: int
+    """Over all robots, on the robot with fewest."""
     bold: bool
-    """Within one standard deviation of the table's best mean, its own (as the paper marks them)."""
+    """Within one standard deviation of the table's best mean, its own (as the paper marks them); never over robots."""
+    iqm: Estimate
+    """Interquartile mean of the runs' scores in each dynamics."""
+    rank: Rank | None = None
+    """By the intervals of the interquartile means in this column of the table; None for a single run."""
 
 
 class Row(NamedTuple):
@@ -41,6 +54,13 @@ class Row(NamedTuple):
     entry: Entry
     cells: dict[str, Cell]
     """Robot → score, of the robots that the entry has."""
+    overall: Cell | None
+    """Over all robots; None where one is missing."""
+
+    @property
+    def competes(self) -> bool:
+        """Whether it is marked and ranked; a reference is not."""
+        return self.entry.submission.privileged != REFERENCE
 
     @property
     def partial(self) -> bool:
@@ -49,7 +69,7 @@ class Row(NamedTuple):
 
 
 class Table(NamedTuple):
-    """The entries of one track and one kind of checkpoint, the best first."""
+    """The entries of one track and one kind of checkpoint, the best first and references last."""
 
     track: str
     checkpoint: str
@@ -64,6 +84,26 @@ def run_scores(submission: Submission) -> dict[str, list[float]]:
         if own:
             scores[robot] = own
     return scores
+
+
+def task_scores(submission: Submission) -> Scores:
+    """Robot → (R, M) float64: each run's score in each test dynamics, on the robot's official scale; runs by seed.
+
+    The mean of a row is the run's official score. Raises ValueError without reference scores.
+    """
+    scores: dict[str, NDArray[np.float64]] = {}
+    for robot in ids.ROBOTS:
+        own = sorted((run for run in submission.runs if run.robot == robot), key=lambda run: run.seed)
+        if own:
+            means = [run.evaluation.evaluation().returns.mean(axis=1) for run in own]
+            scores[robot] = normalized_score(robot, np.stack(means))
+    return scores
+
+
+def balanced(scores: Scores) -> Scores:
+    """As many runs of each robot as there are of the one with fewest, so that none weighs more than another."""
+    runs = min(len(values) for values in scores.values())
+    return {robot: values[:runs] for robot, values in scores.items()}
 
 
 def dynamics_scores(submission: Submission) -> dict[str, dict[str, float]]:
@@ -88,27 +128,62 @@ def standings(entries: Sequence[Entry]) -> list[Table]:
 
 
 def _ranked(entries: Sequence[Entry]) -> list[Row]:
-    """Rows of one table: more robots first, then the higher mean over robots, then by slug."""
-    plain = {entry.slug: {r: _cell(s) for r, s in run_scores(entry.submission).items()} for entry in entries}
-    rows = [Row(entry, _marked(plain[entry.slug], plain.values())) for entry in entries]
+    """Rows of one table: references last, more robots first, then the higher mean over robots, then by slug."""
+    rows = [Row(entry, *_cells(entry.submission)) for entry in entries]
+    competing = [row for row in rows if row.competes]
+    for robot in ids.ROBOTS:
+        column = _placed(_marked({row.entry.slug: row.cells[robot] for row in competing if robot in row.cells}))
+        rows = [
+            row._replace(cells=row.cells | {robot: column[row.entry.slug]}) if row.entry.slug in column else row
+            for row in rows
+        ]
+    column = _placed({row.entry.slug: row.overall for row in competing if row.overall is not None})
+    rows = [row._replace(overall=column.get(row.entry.slug, row.overall)) for row in rows]
     return sorted(
         rows,
-        key=lambda row: (-len(row.cells), -statistics.fmean(c.mean for c in row.cells.values()), row.entry.slug),
+        key=lambda row: (
+            not row.competes,
+            -len(row.cells),
+            -statistics.fmean(cell.mean for cell in row.cells.values()),
+            row.entry.slug,
+        ),
     )
 
 
-def _cell(scores: Sequence[float]) -> Cell:
+def _cells(submission: Submission) -> tuple[dict[str, Cell], Cell | None]:
+    """An entry's cell on each of its robots, and over all of them if it has all; neither marks nor ranks yet."""
+    runs, tasks = run_scores(submission), task_scores(submission)
     # fmean and stdev are exactly rounded: the same bytes on every processor
-    std = statistics.stdev(scores) if len(scores) > 1 else None
-    return Cell(statistics.fmean(scores), std, len(scores), bold=False)
+    cells = {
+        robot: Cell(
+            statistics.fmean(scores),
+            statistics.stdev(scores) if len(scores) > 1 else None,
+            len(scores),
+            bold=False,
+            iqm=interquartile_mean({robot: tasks[robot]}),
+        )
+        for robot, scores in runs.items()
+    }
+    if len(cells) < len(ids.ROBOTS):
+        return cells, None
+    mean = statistics.fmean(cell.mean for cell in cells.values())
+    fewest = min(cell.runs for cell in cells.values())
+    return cells, Cell(mean, None, fewest, bold=False, iqm=interquartile_mean(balanced(tasks)))
 
 
-def _marked(cells: dict[str, Cell], everyone: Iterable[dict[str, Cell]]) -> dict[str, Cell]:
-    marked = {}
-    for robot, cell in cells.items():
-        best = max((other[robot] for other in everyone if robot in other), key=lambda other: other.mean)
-        marked[robot] = cell._replace(bold=cell.mean >= best.mean - (best.std or 0.0))
-    return marked
+def _marked(column: dict[str, Cell]) -> dict[str, Cell]:
+    """Slug → cell of one robot, those within one standard deviation of the best in bold."""
+    if not column:
+        return {}
+    best = max(column.values(), key=lambda cell: cell.mean)
+    line = best.mean - (best.std or 0.0)
+    return {slug: cell._replace(bold=cell.mean >= line) for slug, cell in column.items()}
+
+
+def _placed(column: dict[str, Cell]) -> dict[str, Cell]:
+    """Slug → cell of one column, with their ranks."""
+    found = ranks([cell.iqm.interval for cell in column.values()])
+    return {slug: cell._replace(rank=rank) for (slug, cell), rank in zip(column.items(), found, strict=True)}
 
 
 def data_scores() -> dict[str, float]:

@@ -11,8 +11,8 @@ from rich.text import Text
 
 from dynagen_bench import ids
 from leaderboard.entries import Entry
-from leaderboard.markdown import LABEL, number_text, score_text
-from leaderboard.standings import CHECKPOINTS, TRACKS, Row, data_scores, standings
+from leaderboard.markdown import iqm_text, number_text, rank_text, score_text
+from leaderboard.standings import CHECKPOINTS, TRACKS, Cell, Row, Table, data_scores, standings
 
 
 def show_tables(entries: Sequence[Entry], console: rich.console.Console) -> None:
@@ -22,17 +22,47 @@ def show_tables(entries: Sequence[Entry], console: rich.console.Console) -> None
         console.print("There are no entries yet.")
     for table in tables:
         robots = [robot for robot in ids.ROBOTS if any(robot in row.cells for row in table.rows)]
-        grid = rich.table.Table(title=f"{TRACKS[table.track]}, {CHECKPOINTS[table.checkpoint]}")
-        grid.add_column("Agent")
-        for robot in robots:
-            grid.add_column(robot, justify="right")
-        grid.add_column("Label")
-        for row in table.rows:
-            grid.add_row(*_cells(row, robots), end_section=row is table.rows[-1])
-        data = data_scores()
-        scores = [number_text(data[robot]) if robot in data else "–" for robot in robots]
-        grid.add_row("behaviour data", *scores, "reference", style="dim")
-        console.print(grid)
+        console.print(_means(table, robots))
+        if any(cell.rank for row in table.rows for cell in row.cells.values()):
+            console.print(_ranks(table, robots))
+
+
+def _means(table: Table, robots: Sequence[str]) -> rich.table.Table:
+    """Mean ± standard deviation, with the behaviour data's own score below."""
+    grid = _grid(f"{TRACKS[table.track]}, {CHECKPOINTS[table.checkpoint]}", [*robots])
+    grid.add_column("Label")
+    for row in table.rows:
+        grid.add_row(*_cells(row, robots), end_section=row is table.rows[-1])
+    data = data_scores()
+    scores = [number_text(data[robot]) if robot in data else "–" for robot in robots]
+    grid.add_row("behaviour data", *scores, "reference", style="dim")
+    return grid
+
+
+def _ranks(table: Table, robots: Sequence[str]) -> rich.table.Table:
+    """Interquartile mean and interval, with the rank below; over all robots too, where somebody has all."""
+    whole = any(row.overall is not None for row in table.rows)
+    grid = _grid("Interquartile mean [95 % interval], rank", [*robots, *(["All robots"] if whole else [])])
+    for row in table.rows:
+        cells = [*(row.cells.get(robot) for robot in robots), *([row.overall] if whole else [])]
+        grid.add_row(Text(row.entry.submission.agent), *(Text(_rank_cell(cell)) for cell in cells))
+    return grid
+
+
+def _rank_cell(cell: Cell | None) -> str:
+    """Two short lines, so that six columns fit a terminal: `74.69, rank 1–2` and `[70.10, 78.02]`."""
+    if cell is None or cell.iqm.interval is None:
+        return "–"
+    value, interval = iqm_text(cell).split(" ", 1)
+    return f"{value}, rank {rank_text(cell.rank)}\n{interval}" if cell.rank else f"{value}\n{interval}"
+
+
+def _grid(title: str, columns: Sequence[str]) -> rich.table.Table:
+    grid = rich.table.Table(title=title)
+    grid.add_column("Agent")
+    for column in columns:
+        grid.add_column(column, justify="right")
+    return grid
 
 
 def _cells(row: Row, robots: Sequence[str]) -> list[Text]:
@@ -42,4 +72,4 @@ def _cells(row: Row, robots: Sequence[str]) -> list[Text]:
     for robot in robots:
         cell = row.cells.get(robot)
         cells.append(Text(score_text(cell), style="bold" if cell is not None and cell.bold else ""))
-    return [agent, *cells, Text(LABEL)]
+    return [agent, *cells, Text(row.entry.label)]

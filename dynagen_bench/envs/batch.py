@@ -86,14 +86,13 @@ class BatchPhysics:
         self._warmstart: Array = self._batch.bind("qacc_warmstart")
         self._forces: Array | None = self._batch.bind("cfrc_ext") if self._touch else None
         self._bad_states: NDArray[np.integer[Any]] = self._batch.warning[:, BAD_STATE, 1]  # live
-        self._bad_seen = self._bad_states.sum(axis=1)
 
     def __len__(self) -> int:
         return int(self._batch.nsim)
 
     @property
     def warnings(self) -> NDArray[np.integer[Any]]:
-        """(N, kinds): how often MuJoCo has warned of each kind of trouble since the batch was made."""
+        """(N, kinds): how often MuJoCo has warned of each kind of trouble; bad states are told by `step` instead."""
         counts: NDArray[np.integer[Any]] = self._batch.warning[:, :, 1]
         return counts
 
@@ -133,7 +132,7 @@ class BatchPhysics:
     def step(
         self, actions: NDArray[np.floating[Any]], simulations: NDArray[np.integer[Any]] | None = None
     ) -> Transition:
-        """Advance simulations (M,), or all N, by one control step with actions (M, A).
+        """Advance simulations (M,), in ascending order, or all N, by one control step with actions (M, A).
 
         Raises:
             ValueError: actions of another shape, or not finite; no physics has run.
@@ -170,14 +169,12 @@ class BatchPhysics:
     def _unstable(self, rows: Any) -> NDArray[np.bool_] | None:
         """Which of the simulations (M,) just stepped have had a bad state, or None for none.
 
-        Their count of warnings has grown; in a batch that never had one, one look at all counts tells.
+        The counts are set back: MuJoCo begins them anew when it resets a simulation, so that they need not grow.
         """
         if not self._bad_states.any():
             return None
-        counts = self._bad_states.sum(axis=1)
-        grown = counts != self._bad_seen
-        self._bad_seen = counts
-        unstable: NDArray[np.bool_] = grown[rows]
+        unstable: NDArray[np.bool_] = np.asarray(self._bad_states.any(axis=1))[rows]
+        self._bad_states[:] = 0
         return unstable
 
 

@@ -149,9 +149,8 @@ observation, reward, terminated, truncated, info = env.step(env.action_space.sam
 
 nominal = gymnasium.make("{ids.v0_env_id(robot)}", split="nominal")  # every factor is 1
 any_of_twenty = gymnasium.make("{ids.v0_env_id(robot)}", split="train")  # draws one of them at every reset
-my_own = gymnasium.make(
-    "{ids.v0_env_id(robot)}", dynamics={{"body_mass": {{"{body}": 1.5}}, "geom_friction": {{"{geom}": 0.5}}}}
-)
+factors = {{"body_mass": {{"{body}": 1.5}}, "geom_friction": {{"{geom}": 0.5}}}}
+my_own = gymnasium.make("{ids.v0_env_id(robot)}", dynamics=factors)
 five = gymnasium.make_vec("{ids.v0_env_id(robot)}", num_envs=5, split="test")  # one of each test dynamics
 ```""",
     ]

@@ -1,21 +1,25 @@
 """What every score is to be read against: random actions, and the data itself.
 
-What is here: `RandomPolicy`, its submission, and `data_returns`. Called by the command line and the leaderboard. It
-must not know agents.
+What is here: `RandomPolicy`, the baselines' submissions, and `data_returns`. Called by the command line and the
+leaderboard. It must not know agents.
 """
 
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Any
+from pathlib import Path
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
+from dynagen_bench.collection.policies import POLICY_FOLDER
 from dynagen_bench.datasets.scores import reference_scores
-from dynagen_bench.evaluation.result import EpisodeRecord
+from dynagen_bench.evaluation.experts import behaviour_policy, best_policy
+from dynagen_bench.evaluation.policy import Policy
 from dynagen_bench.evaluation.rollout import action_space, evaluate
 from dynagen_bench.evaluation.submission import Run, Submission
+from dynagen_bench.evaluation.traces import Traces
 
 
 class RandomPolicy:
@@ -42,30 +46,74 @@ class RandomPolicy:
         return self._rng.uniform(self._low, self._high, shape).astype(np.float32), state
 
 
-def random_submission(robot: str, seeds: Sequence[int] = range(5)) -> Submission:
-    """Evaluate the random policy of each seed in the test dynamics, as an entry for the leaderboard."""
-    runs = [
-        Run(
-            robot=robot,
-            seed=seed,
-            gradient_steps=0,
-            evaluation=EpisodeRecord.from_evaluation(evaluate(RandomPolicy(robot, seed), robot)),
-        )
-        for seed in seeds
-    ]
-    return Submission(
-        format_version=1,
-        agent="Random policy",
+Baseline = Literal["random", "behaviour", "expert"]
+
+_ABOUT: Final[dict[Baseline, dict[str, Any]]] = {
+    "random": {
+        "agent": "Random policy",
+        "description": "Actions drawn uniformly from the action space, whatever is observed.",
+        "privileged": "none",
+    },
+    "behaviour": {
+        "agent": "Behaviour policies",
+        "description": "What made the data of the test dynamics: twenty snapshots of a SAC run in each of them, acting "
+        "there with their noise, every second of them in a run. A reference: it was trained in the test dynamics.",
+        "privileged": "test-dynamics",
+    },
+    "expert": {
+        "agent": "Best SAC policies",
+        "description": "Of the twenty snapshots of the SAC run in each test dynamics the best one, without noise; "
+        "chosen by its mean return in ten other episodes. A reference: it was trained in the test dynamics.",
+        "privileged": "test-dynamics",
+    },
+}
+
+
+def baseline_submission(
+    policy: Baseline, robots: Sequence[str], runs: int = 5, folder: Path = POLICY_FOLDER
+) -> tuple[Submission, list[Traces]]:
+    """Evaluate a baseline in the test dynamics of robots, as an entry for the leaderboard, with its traces.
+
+    Args:
+        policy: `random`; `behaviour`, what made the test dynamics' data; `expert`, the best of those.
+        robots: on which robots.
+        runs: seeds 0, 1, ... of each robot; `expert` knows no seed and has one run.
+        folder: where the behaviour policies are stored.
+
+    Raises:
+        ValueError: an unknown robot, or no run.
+        FileNotFoundError: a robot has no stored behaviour policies.
+    """
+    if runs < 1 or not robots:
+        raise ValueError(f"{runs} runs on {len(robots)} robots asked for: give at least 1 of each")
+    made, traces = [], []
+    for robot in robots:
+        for seed in range(1 if policy == "expert" else runs):
+            found = evaluate(_make(policy, ids.check_robot(robot), seed, folder), robot, progress=True)
+            made.append(Run.from_evaluation(found, seed=seed, gradient_steps=0))
+            assert found.traces is not None
+            traces.append(found.traces)
+    options = "" if policy == "random" else f" --policy {policy}"
+    options += "" if policy == "expert" or runs == 5 else f" --runs {runs}"
+    submission = Submission(
+        format_version=2,
         authors=["DynaGen Bench"],
-        description="Actions drawn uniformly from the action space, whatever is observed.",
         track="zero-shot",
         checkpoint="last",
-        privileged="none",
         hardware="any",
         hours=0.0,
         versions={package: version(package) for package in ("dynagen-bench", "mujoco", "gymnasium", "numpy")},
-        runs=runs,
+        commands=[f"dynagen baseline {' '.join(robots)} --output my-entry{options}"],
+        runs=made,
+        **_ABOUT[policy],
     )
+    return submission, traces
+
+
+def _make(policy: Baseline, robot: str, seed: int, folder: Path) -> Policy:
+    if policy == "random":
+        return RandomPolicy(robot, seed)
+    return behaviour_policy(robot, seed, folder) if policy == "behaviour" else best_policy(robot, folder)
 
 
 def data_returns(robot: str) -> dict[str, float]:

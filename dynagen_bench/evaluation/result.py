@@ -15,8 +15,11 @@ from numpy.typing import NDArray
 from dynagen_bench import ids
 from dynagen_bench.datasets.scores import normalized_score, reference_scores
 from dynagen_bench.envs import HORIZON
+from dynagen_bench.evaluation.traces import Traces
 
-STRICT: Final = pydantic.ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+STRICT: Final = pydantic.ConfigDict(
+    strict=True, extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+)
 """Files are read to the letter: a number in quotes, an unknown field or a NaN is an error and no guess is made."""
 
 MAX_EPISODES: Final = 1000
@@ -45,6 +48,9 @@ class Evaluation:
         lengths: (dynamics, episodes) int64, steps, 1 to 200.
         seeds: (dynamics, episodes) int64, reset seeds: `env.reset(seed=...)` starts the same episode.
         mujoco: version of MuJoCo that ran the episodes; returns are the same only under the same version.
+        physics: `traces.physics_digest` of the machine that ran them; None in files that are older than it.
+        traces: what the episodes did, in the order of the rows; None if they were not kept. They have a file of their
+            own and are not in the JSON.
 
     Raises:
         ValueError: the arrays are of different shapes, hold a number that cannot be, or do not belong to the indices.
@@ -57,6 +63,8 @@ class Evaluation:
     lengths: NDArray[np.int64]
     seeds: NDArray[np.int64]
     mujoco: str
+    physics: str | None = None
+    traces: Traces | None = None
 
     def __post_init__(self) -> None:
         ids.choose_ids(self.robot, self.split, self.indices)
@@ -102,6 +110,7 @@ class Evaluation:
 
     def to_json(self) -> dict[str, Any]:
         """The plain form that `from_json` reads: strings, numbers and lists of them."""
+        physics = {} if self.physics is None else {"physics": self.physics}
         return {
             "robot": self.robot,
             "split": self.split,
@@ -110,6 +119,7 @@ class Evaluation:
             "lengths": self.lengths.tolist(),
             "seeds": self.seeds.tolist(),
             "mujoco": self.mujoco,
+            **physics,
         }
 
     @classmethod
@@ -133,6 +143,8 @@ class EpisodeRecord(pydantic.BaseModel):
     lengths: Rows[Annotated[int, pydantic.Field(ge=1, le=HORIZON)]]
     seeds: Rows[Annotated[int, pydantic.Field(ge=0, lt=2**31)]]
     mujoco: str = pydantic.Field(pattern=r"^[0-9A-Za-z.+-]{1,32}$")
+    physics: str | None = pydantic.Field(default=None, pattern=r"^[0-9a-f]{16}$")
+    """Digest of the machine's arithmetic: of the same digest, a replay has to be exact."""
 
     @classmethod
     def from_evaluation(cls, evaluation: Evaluation) -> "EpisodeRecord":
@@ -157,6 +169,7 @@ class EpisodeRecord(pydantic.BaseModel):
             np.array(self.lengths, dtype=np.int64),
             np.array(self.seeds, dtype=np.int64),
             self.mujoco,
+            self.physics,
         )
 
 

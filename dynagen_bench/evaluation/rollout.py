@@ -20,6 +20,7 @@ from dynagen_bench.dynamics import load_dynamics
 from dynagen_bench.envs import HORIZON, BatchPhysics
 from dynagen_bench.evaluation.policy import Policy, RewardAware
 from dynagen_bench.evaluation.result import Evaluation
+from dynagen_bench.evaluation.traces import Recorder, physics_digest
 
 EPISODES: Final = 10
 """Episodes in each dynamics (paper, section 5.1)."""
@@ -63,6 +64,7 @@ def evaluate(
     indices: Sequence[int] | None = None,
     episodes: int = EPISODES,
     seed: int = SEED,
+    traces: bool = True,
     progress: bool = False,
 ) -> Evaluation:
     """Let a policy act in dynamics it is not told, and measure its returns.
@@ -80,6 +82,7 @@ def evaluate(
         indices: the dynamics of the split; None takes all of them.
         episodes: episodes in each dynamics.
         seed: the start states are a function of it; the official scores are those of the default.
+        traces: keep what every episode did, from which the leaderboard replays it; at most 22 kB an episode.
         progress: show a progress bar.
 
     Raises:
@@ -98,21 +101,38 @@ def evaluate(
     physics = BatchPhysics(robot, [dynamics for dynamics in drawn for _ in range(episodes)])
     with rich.progress.Progress(disable=not progress) as bar:
         task = bar.add_task(f"evaluating in {robot} {split}", total=HORIZON)
-        returns, lengths = _run_lanes(policy, physics, seeds.ravel(), lambda: bar.advance(task))
+        observations = physics.start(np.arange(len(physics)), reset_generators(seeds))
+        recorder = Recorder(physics.states, len(physics.action_limit)) if traces else None
+        returns, lengths = _run_lanes(policy, physics, observations, recorder, lambda: bar.advance(task))
         bar.update(task, completed=HORIZON)
-    shape = seeds.shape
-    return Evaluation(robot, split, chosen, returns.reshape(shape), lengths.reshape(shape), seeds, mujoco.__version__)
+    return Evaluation(
+        robot,
+        split,
+        chosen,
+        returns.reshape(seeds.shape),
+        lengths.reshape(seeds.shape),
+        seeds,
+        mujoco.__version__,
+        physics_digest(robot),
+        None if recorder is None else recorder.traces(lengths),
+    )
+
+
+def reset_generators(seeds: NDArray[np.int64]) -> list[np.random.Generator]:
+    """The generators that `env.reset(seed=...)` makes of seeds of any shape: a lane starts in the same state."""
+    return [gymnasium.utils.seeding.np_random(int(seed))[0] for seed in seeds.flat]
 
 
 def _run_lanes(
-    policy: Policy, physics: BatchPhysics, seeds: NDArray[np.int64], advance: Callable[[], None]
+    policy: Policy,
+    physics: BatchPhysics,
+    observations: NDArray[np.float64],
+    recorder: Recorder | None,
+    advance: Callable[[], None],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Run one episode in each lane; returns (N,) float64 and lengths (N,) int64."""
+    """Run the episode that has started in each lane; returns (N,) float64 and lengths (N,) int64."""
     lanes = len(physics)
     shape = (lanes, *action_space(physics.robot).shape)
-    # a lane's generator is the one that env.reset(seed=...) makes, so that the lane starts in the same state
-    rngs = [gymnasium.utils.seeding.np_random(int(seed))[0] for seed in seeds]
-    observations = physics.start(np.arange(lanes), rngs)
     returns, lengths = np.zeros(lanes), np.zeros(lanes, dtype=np.int64)
     running = np.arange(lanes)
     state, starts = None, np.ones(lanes, dtype=np.bool_)
@@ -121,7 +141,10 @@ def _run_lanes(
         actions, state = policy.predict(
             observations.copy(), state=state, episode_start=starts.copy(), deterministic=True
         )
-        result = physics.step(_checked_actions(actions, shape, step)[running], running)
+        taken = _checked_actions(actions, shape, step)[running]
+        result = physics.step(taken, running)
+        if recorder is not None:
+            recorder.add(step, running, taken, result.states, result.terminated)
         observations[running] = result.observations
         rewards = np.zeros(lanes)
         rewards[running] = result.rewards

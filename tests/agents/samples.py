@@ -14,7 +14,8 @@ S, A, K = 11, 3, 5  # Hopper's state and action sizes, and a short context
 def tiny_config(name: str, **changes) -> TransformerConfig:
     """An agent's config of a net that trains in a blink."""
     tiny = {"layers": 2, "heads": 2, "embedding": 16, "context": K, "batch_size": 8, "steps": 20, "warmup_steps": 5}
-    return AGENTS[name][0](**(tiny | {"learning_rate": 1e-3} | changes))
+    tiny |= {"learning_rate": 1e-3, "precision": "float32"}
+    return AGENTS[name][0](**(tiny | changes))
 
 
 def hopper_spec() -> RobotSpec:

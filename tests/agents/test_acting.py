@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from agents.acting import ContextPolicy
+from agents.acting import LANES, ContextPolicy, blockwise
+from agents.interface import History
 from dynagen_bench.datasets import WindowSampler
 from dynagen_bench.envs import HORIZON
 from tests.agents.samples import A, K, S, hopper_spec, new_agent, random_dataset
@@ -64,20 +65,46 @@ def test_another_number_of_episodes_begins_all_of_them():
     assert [history.mask.sum().item() for history in recorder.seen] == [3, 6, 2]
 
 
-def test_episodes_act_alone_as_they_do_together(name):
+def actions_of_lanes(agent, lanes, steps=8):
+    """Actions (steps, N, A) in some of 13 episodes; the seventh begins anew at step 3."""
     rng = np.random.default_rng(0)
-    observations, rewards = rng.normal(size=(8, 3, S)), rng.uniform(0, 50, size=(8, 3))
+    observations, rewards = rng.normal(size=(steps, 13, S)), rng.uniform(0, 50, size=(steps, 13))
+    policy, actions = agent.policy(), []
+    for t in range(steps):
+        starts = np.array([t == 0 or (lane == 6 and t == 3) for lane in lanes])
+        actions.append(policy.predict(observations[t, lanes], episode_start=starts)[0])
+        policy.observe(rewards[t, lanes])
+    return np.stack(actions)
 
-    def act(lanes):
-        policy, actions = new_agent(name).policy(), []
-        for o, r in zip(observations, rewards, strict=True):
-            actions.append(policy.predict(o[lanes])[0])
-            policy.observe(r[lanes])
-        return np.stack(actions)
 
-    together = act([0, 1, 2])
-    for lane in range(3):
-        np.testing.assert_allclose(act([lane])[:, 0], together[:, lane], atol=1e-6)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_episodes_act_alone_as_they_do_together_bit_for_bit(name, threads):
+    agent = new_agent(name, embedding=128, context=20)  # products as in the paper's
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        together = actions_of_lanes(agent, list(range(13)))
+        for lane in (0, 4, 5, 6, 12):
+            assert np.array_equal(actions_of_lanes(agent, [lane])[:, 0], together[:, lane])
+        assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    assert np.array_equal(actions_of_lanes(agent, list(range(13))), together)  # one thread again
+
+
+def test_blocks_hold_every_episode_once():
+    for lanes in (1, LANES - 1, LANES, 2 * LANES + 1):
+        history = History(*(torch.full((lanes, K, *rest), 1.0) for rest in ((S,), (A,), (), (), ())))
+        history.observations[:, -1, 0] = torch.arange(lanes)
+        seen = []
+
+        def act(block, seen=seen):
+            seen.append(block.mask.shape)
+            return block.observations[:, -1, :A] * 2
+
+        actions = blockwise(act, torch.device("cpu"))(history)
+        assert actions[:, 0].tolist() == [2.0 * lane for lane in range(lanes)]
+        assert seen == [(LANES, K)] * -(-lanes // LANES)
 
 
 def test_the_return_still_wanted_matters_to_who_is_conditioned_on_it(name):

@@ -3,8 +3,10 @@
 import dataclasses
 
 import pytest
+import torch
 
 from agents import AGENTS
+from agents.config import fast_precision
 from agents.dadt import DADTConfig
 from agents.dt import DTConfig
 
@@ -46,6 +48,12 @@ def test_learning_rate_grows_linearly_then_stays(name):
     assert dataclasses.replace(config, warmup_steps=0).learning_rate_at(0) == 1.0
 
 
+def test_precision_is_what_the_machine_does_fast_unless_it_is_given(name):
+    assert AGENTS[name][0]().precision == fast_precision()
+    assert AGENTS[name][0](precision="float32").dtype == torch.float32
+    assert AGENTS[name][0](precision="bfloat16").dtype == torch.bfloat16
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -54,6 +62,7 @@ def test_learning_rate_grows_linearly_then_stays(name):
         ({"context": 201}, "context is 201: give a whole number from 1 to 200"),
         ({"dropout": 1.0}, "dropout is 1.0: give a number from 0 to 0.99"),
         ({"learning_rate": float("nan")}, "learning_rate is nan: give a number from 0 to 1"),
+        ({"precision": "float16"}, "precision is 'float16': give one of float32, bfloat16"),
         ({"heads": 3}, "embedding 128 does not divide into 3 heads"),
     ],
 )

@@ -10,6 +10,7 @@ from agents.submit import main, submit
 from agents.train import train
 from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.evaluation.submission import read_submission
+from leaderboard.verify import verify
 from tests.agents.samples import random_dataset, tiny_config
 
 
@@ -32,6 +33,11 @@ def test_runs_become_a_submission_that_the_leaderboard_reads(tmp_path):
         record = json.loads((folder / "evaluation.json").read_text())
         evaluation = Evaluation.from_json(record["evaluation"])
         assert np.array_equal(submitted.evaluation.evaluation().returns, evaluation.returns)
+        assert submitted.trace is not None
+        assert [point.gradient_steps for point in submitted.curve] == [1, 2]
+        assert submitted.curve[-1].mean_return == pytest.approx(evaluation.returns.mean(), rel=1e-6)
+    assert found.commands[1].startswith("python -m agents.train dadt --robot Hopper --seed 1 --every 4 --layers 2 ")
+    assert all(check.label == "replayed" for check in verify(tmp_path / "out", found))
     assert found.versions.keys() >= {"torch", "mujoco", "numpy", "gymnasium"}
 
 

@@ -158,6 +158,44 @@ def test_a_loss_that_is_no_number_stops_before_it_does_harm(tmp_path):
     )
 
 
+def with_a_number(dataset, field, row, number):
+    """A dataset with another number in the first column of a row."""
+    values = getattr(dataset, field).copy()
+    values.reshape(len(values), -1)[row, 0] = number
+    return dataclasses.replace(dataset, **{field: values})
+
+
+@pytest.mark.parametrize("field", ["observations", "actions", "returns_to_go"])
+def test_data_that_are_not_finite_are_refused_before_the_first_step(tmp_path, field):
+    for number in (np.nan, np.inf):
+        with pytest.raises(ValueError, match=f"{field} of the Hopper data are not finite in row 7: build"):
+            train("dt", tiny_config("dt"), settings(tmp_path), with_a_number(random_dataset(), field, 7, number))
+
+
+def test_a_loss_that_overflows_stops_at_its_step_and_keeps_the_last_checkpoint(tmp_path):
+    dataset = random_dataset(lengths=(150,) * 4)
+    bad = with_a_number(dataset, "actions", 300, 1e30)  # finite, but its square is not; few windows hold it
+    sane = settings(tmp_path, checkpoint_every=2, evaluate_every=0)
+    config = tiny_config("dt", steps=200, batch_size=4)
+    with pytest.raises(
+        FloatingPointError, match=r"^loss is (inf|nan) at step \d+: lower --learning-rate, or check"
+    ) as caught:
+        train("dt", config, sane, bad)
+    step = int(str(caught.value).split()[5].rstrip(":"))
+    assert load_checkpoint(sane.folder("dt") / "last.safetensors").step == step - step % 2 > 0
+    assert same(
+        parameters(sane.folder("dt")),
+        parameters(
+            train(
+                "dt",
+                dataclasses.replace(config, steps=step - step % 2),
+                dataclasses.replace(sane, name="sane"),
+                dataset,
+            )
+        ),
+    )
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -1,4 +1,4 @@
-"""The trunk: against an independent GPT-2, and its dropout."""
+"""The trunk: against an independent GPT-2."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import torch
 from transformers import GPT2Config, GPT2Model
 
 from agents.config import TransformerConfig
-from agents.trunk import Trunk, dropout, linear
+from agents.trunk import Trunk, linear
 
 
 def gpt2_with_weights_of(trunk: Trunk, config: TransformerConfig) -> GPT2Model:
@@ -70,23 +70,21 @@ def test_linear_is_pytorchs_by_default():
         assert parameter.std().item() == pytest.approx(1 / 8 / np.sqrt(3), rel=0.1)
 
 
-@pytest.mark.parametrize("rate", [0.1, 0.5, 0.9])
-@pytest.mark.parametrize("shape", [(1,), (7,), (1000, 301)])
-def test_dropout_zeroes_at_its_rate_and_keeps_the_mean(rate, shape):
-    x = torch.ones(shape)
-    y = dropout(x, rate, torch.Generator().manual_seed(1))
-    assert y.shape == x.shape
-    assert torch.isin(y, torch.tensor([0.0, 1 / (1 - round(rate * 2**16) / 2**16)])).all()
-    if x.numel() > 1000:
-        assert (y == 0).float().mean().item() == pytest.approx(rate, abs=4 * np.sqrt(rate * (1 - rate) / x.numel()))
-        assert (y == 0).float().mean(dim=0).std() == pytest.approx(np.sqrt(rate * (1 - rate) / 1000), rel=0.2)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_asked_for_some_tokens_it_gives_what_it_gives_for_all(dtype):
+    trunk = Trunk(TransformerConfig(heads=2, embedding=32), torch.Generator().manual_seed(0))
+    tokens = torch.randn(4, 9, 32, generator=torch.Generator().manual_seed(1))
+    mask = torch.arange(9) >= torch.tensor([0, 1, 5, 8])[:, None]
+    asked = torch.tensor([1, 4, 8])
+    with torch.no_grad():
+        whole, part = trunk(tokens, mask, dtype=dtype), trunk(tokens, mask, asked=asked, dtype=dtype)
+    assert part.shape == (4, 3, 32)
+    torch.testing.assert_close(part, whole[:, asked], rtol=1e-5, atol=1e-5 if dtype == torch.float32 else 2e-2)
 
 
-def test_dropout_is_the_generators_and_absent_without_one():
-    x = torch.randn(100, generator=torch.Generator().manual_seed(0))
-    first, again = (dropout(x, 0.5, torch.Generator().manual_seed(2)) for _ in range(2))
-    assert torch.equal(first, again)
-    generator = torch.Generator().manual_seed(2)
-    assert not torch.equal(dropout(x, 0.5, generator), dropout(x, 0.5, generator))
-    assert dropout(x, 0.5, None) is x
-    assert dropout(x, 0.0, generator) is x
+def test_all_of_it_is_on_the_device_of_its_parameters():
+    trunk = Trunk(TransformerConfig(embedding=32), torch.Generator().manual_seed(0)).to("meta")
+    out = trunk(torch.empty(4, 9, 32, device="meta"), torch.ones(4, 9, dtype=torch.bool, device="meta"))
+    assert out.device.type == "meta"
+    out.sum().backward()
+    assert all(parameter.grad.device.type == "meta" for parameter in trunk.parameters())

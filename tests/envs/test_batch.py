@@ -74,6 +74,20 @@ def test_an_unstable_simulation_touches_no_other(tmp_path, monkeypatch):
     assert shaken.step(actions[:1], np.array([0])).unstable.tolist() == [False]
 
 
+def test_every_unstable_step_is_reported_not_the_first_alone(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    batch = batch_of("Hopper", "test", 3, 2)
+    batch.start(np.arange(3), [np.random.default_rng(i) for i in range(3)])
+    calm = batch.qvel[1].copy()
+    for _ in range(3):
+        batch.qvel[1, 3] = 1e12
+        before = batch.states[1].copy()
+        assert batch.step(np.zeros((3, 3))).unstable.tolist() == [False, True, False]
+        np.testing.assert_array_equal(batch.states[1], before)
+        batch.qvel[1] = calm
+        assert not batch.step(np.zeros((2, 3)), np.array([1, 2])).unstable.any()
+
+
 @pytest.mark.parametrize(
     ("actions", "message"),
     [

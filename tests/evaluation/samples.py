@@ -7,8 +7,8 @@ import numpy as np
 
 from dynagen_bench import ids
 from dynagen_bench.datasets.scores import Reference, write_reference_scores
-from dynagen_bench.evaluation import EPISODES, Evaluation, reset_seeds
-from dynagen_bench.evaluation.submission import Run, Submission
+from dynagen_bench.evaluation import EPISODES, Evaluation, RandomPolicy, evaluate, reset_seeds
+from dynagen_bench.evaluation.submission import Run, Submission, write_submission
 
 
 def write_references(file: Path, robots: tuple[str, ...] = ids.ROBOTS) -> None:
@@ -51,3 +51,14 @@ def submission(runs: dict[str, list[float]] | None = None, **fields: Any) -> Sub
         ],
     }
     return Submission.model_validate(given | fields)
+
+
+def traced(
+    folder: Path, robots: tuple[str, ...] = ("Hopper",), seeds: tuple[int, ...] = (0,), **fields: Any
+) -> Submission:
+    """Write a submission of short real episodes, of random actions, with their traces, and return it."""
+    found = {(robot, seed): evaluate(RandomPolicy(robot, seed), robot) for robot in robots for seed in seeds}
+    runs = [Run.from_evaluation(one, seed=seed, gradient_steps=0) for (_, seed), one in found.items()]
+    made = submission().model_copy(update={"format_version": 2, "runs": runs} | fields)
+    write_submission(folder, made, [one.traces for one in found.values() if one.traces is not None])
+    return made

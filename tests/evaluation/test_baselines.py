@@ -5,8 +5,8 @@ import pytest
 
 from dynagen_bench import ids
 from dynagen_bench.evaluation import Policy, RandomPolicy, RewardAware, action_space, data_returns, evaluate
-from dynagen_bench.evaluation.baselines import random_submission
-from dynagen_bench.evaluation.submission import read_submission, write_submission
+from dynagen_bench.evaluation.baselines import baseline_submission
+from dynagen_bench.evaluation.submission import read_submission, read_traces, write_submission
 
 
 @pytest.mark.parametrize("robot", ids.ROBOTS)
@@ -40,10 +40,34 @@ def test_data_returns_are_the_test_references(references):
     assert data_returns("Ant") == {"test0": 50.0, "test1": 51.0, "test2": 52.0, "test3": 53.0, "test4": 54.0}
 
 
-def test_random_policy_is_submitted_as_an_entry_like_any_other(tmp_path):
-    submission = random_submission("Hopper", seeds=(3, 4))
-    assert [run.seed for run in submission.runs] == [3, 4]
+def test_the_random_policy_is_submitted_as_an_entry_like_any_other(tmp_path):
+    submission, traces = baseline_submission("random", ["Hopper"], runs=2)
+    assert [run.seed for run in submission.runs] == [0, 1]
     assert submission.runs[0].evaluation != submission.runs[1].evaluation
-    assert random_submission("Hopper", seeds=(3, 4)) == submission
-    write_submission(tmp_path, submission)
+    assert submission.privileged == "none"
+    assert submission.commands == ["dynagen baseline Hopper --output my-entry --runs 2"]
+    again, _ = baseline_submission("random", ["Hopper"], runs=2)
+    assert again == submission  # its hashes of the traces, too
+    write_submission(tmp_path, submission, traces)
     assert read_submission(tmp_path) == submission
+    assert read_traces(tmp_path, submission.runs[1]).sha256 == submission.runs[1].trace
+
+
+@pytest.mark.parametrize("policy", ["behaviour", "expert"])
+def test_behaviour_policies_are_submitted_as_privileged_references(policy, tiny_policies):
+    submission, traces = baseline_submission(policy, ["Hopper"], runs=2, folder=tiny_policies)
+    assert submission.privileged == "test-dynamics"
+    assert [run.trace for run in submission.runs] == [one.sha256 for one in traces]
+    assert len(submission.runs) == (2 if policy == "behaviour" else 1)  # the best ones act without any noise
+
+
+def test_what_cannot_be_submitted_ends_in_one_line(tmp_path):
+    for arguments, message in (
+        (("random", ["Hoper"]), "did you mean 'Hopper'"),
+        (("random", []), "5 runs on 0 robots"),
+        (("random", ["Ant"], 0), "0 runs on 1 robots"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            baseline_submission(*arguments)
+    with pytest.raises(FileNotFoundError, match="no behaviour policies at"):
+        baseline_submission("expert", ["Ant"], folder=tmp_path)

@@ -2,20 +2,25 @@
 
 import json
 import os
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from dynagen_bench.evaluation import RandomPolicy, evaluate
 from dynagen_bench.evaluation.submission import (
     FILE_NAME,
     MAX_BYTES,
+    Run,
     Submission,
     read_submission,
+    read_traces,
+    schema_text,
     submission_text,
     write_submission,
 )
-from tests.evaluation.samples import evaluation, submission
+from tests.evaluation.samples import evaluation, submission, traced
 
 
 def plain(**fields):
@@ -34,8 +39,7 @@ def test_what_is_written_is_read_again(tmp_path):
 def test_the_text_is_the_same_bytes_and_plain_json():
     text = submission_text(plain())
     assert text == submission_text(plain())
-    assert json.loads(text) == plain().model_dump(mode="json")
-    assert json.loads(text)["traces"] is None
+    assert json.loads(text) == plain().model_dump(mode="json", exclude_defaults=True)
     assert "[80.0, 80.0, 80.0, 80.0, 80.0, 80.0, 80.0, 80.0, 80.0, 80.0]," in text  # a dynamics' episodes on a line
 
 
@@ -76,8 +80,16 @@ def edited(**changes):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (edited(format_version=2), "format_version: Input should be 1"),
-        (edited(format_version="1"), "format_version: Input should be 1"),
+        (edited(format_version=3), "format_version: Input should be 1 or 2"),
+        (edited(format_version="1"), "format_version: Input should be 1 or 2"),
+        (edited(commands=["python train.py"]), "format_version: 1 has no commands, traces and curves, write 2"),
+        (edited(runs__1__trace="0" * 64), "format_version: 1 has no commands, traces and curves, write 2"),
+        (edited(format_version=2, runs__1__trace="../other"), r"runs\.1\.trace: String should match pattern"),
+        (edited(format_version=2, commands=["two\nlines"]), r"commands\.0: must be one line"),
+        (
+            edited(format_version=2, runs__0__curve=[{"gradient_steps": 1, "mean_return": float("nan")}]),
+            r"runs\.0\.curve\.0\.mean_return: Input should be a finite number",
+        ),
         (edited(agent=""), "agent: String should have at least 1"),
         (edited(agent="x" * 81), "agent: String should have at most 80"),
         (edited(agent="two\nlines"), "agent: must be one line of printable"),
@@ -204,3 +216,53 @@ def test_any_bytes_are_refused_in_one_line(tmp_path, content):
     with pytest.raises(ValueError, match=r"submission\.json: ") as caught:
         read_submission(tmp_path)
     assert str(caught.value).isprintable()
+
+
+def test_traces_are_written_beside_and_read_by_the_hash(tmp_path):
+    made = traced(tmp_path, seeds=(3, 4))
+    assert sorted(p.name for p in tmp_path.rglob("*") if p.is_file()) == [
+        "Hopper-seed3.safetensors",
+        "Hopper-seed4.safetensors",
+        FILE_NAME,
+    ]
+    for run in made.runs:
+        assert read_traces(tmp_path, run).sha256 == run.trace
+    first, second = (tmp_path / run.trace_name for run in made.runs)
+    first.write_bytes(second.read_bytes())
+    with pytest.raises(ValueError, match=r"Hopper-seed3\.safetensors: (its SHA-256 is|larger than)"):
+        read_traces(tmp_path, made.runs[0])
+    first.unlink()
+    with pytest.raises(FileNotFoundError, match=r"Hopper-seed3\.safetensors is no file"):
+        read_traces(tmp_path, made.runs[0])
+
+
+def test_a_trace_that_is_not_given_is_missed_before_anything_is_written(tmp_path):
+    made = traced(tmp_path / "mine")
+    with pytest.raises(ValueError, match=r"runs\.0\.trace: these traces are not given"):
+        write_submission(tmp_path / "other", made)
+    assert not (tmp_path / "other").exists()
+
+
+def test_an_evaluation_is_taken_with_or_without_its_traces():
+    found = evaluate(RandomPolicy("Hopper"), "Hopper", episodes=1)
+    assert Run.from_evaluation(found, seed=0, gradient_steps=1).trace == found.traces.sha256
+    without = evaluate(RandomPolicy("Hopper"), "Hopper", episodes=1, traces=False)
+    assert Run.from_evaluation(without, seed=0, gradient_steps=1).trace is None
+    assert Run(robot="Hopper", seed=0, gradient_steps=1, evaluation=found).evaluation.evaluation().returns.size == 5
+
+
+def test_the_first_version_is_read_with_its_null_field(tmp_path):
+    content = plain().model_dump(mode="json", exclude_defaults=True) | {"traces": None, "paper": None}
+    (tmp_path / FILE_NAME).write_text(json.dumps(content), encoding="utf-8")
+    assert read_submission(tmp_path) == plain()
+    assert "traces" not in json.loads(submission_text(read_submission(tmp_path)))
+
+
+def test_the_committed_schema_is_current_and_describes_what_is_written(tmp_path):
+    committed = Path(__file__).parents[2] / "docs" / "submission.schema.json"
+    assert committed.read_text(encoding="utf-8") == schema_text(), (
+        "run `python -m leaderboard schema > docs/submission.schema.json`"
+    )
+    properties = json.loads(schema_text())["properties"]
+    assert json.loads(submission_text(traced(tmp_path))).keys() <= properties.keys()
+    assert "traces" not in properties

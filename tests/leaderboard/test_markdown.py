@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from leaderboard.entries import Entry
-from leaderboard.markdown import escape, number_text, page, score_text
+from leaderboard.markdown import escape, iqm_text, number_text, page, rank_text, score_text
 from leaderboard.standings import Cell
+from leaderboard.statistics import Estimate, Rank
 from tests.evaluation.samples import submission
 
 HOSTILE = [
@@ -86,16 +87,20 @@ def test_links_are_those_given():
 
 def test_numbers():
     assert score_text(None) == "–"
-    assert score_text(Cell(74.694, 4.216, 5, bold=True)) == "74.69 ± 4.22"
-    assert score_text(Cell(74.694, 4.216, 3, bold=True)) == "74.69 ± 4.22 (3 runs)"
-    assert score_text(Cell(-0.001, None, 1, bold=False)) == "0.00 (1 run)"
+    cell = Cell(74.694, 4.216, 5, bold=True, iqm=Estimate(73.006, (70.1, 78.0)))
+    assert score_text(cell) == "74.69 ± 4.22"
+    assert score_text(cell._replace(runs=3)) == "74.69 ± 4.22 (3 runs)"
+    assert score_text(cell._replace(mean=-0.001, std=None, runs=1)) == "0.00 (1 run)"
+    assert iqm_text(cell) == "73.01 [70.10, 78.00]"
+    assert iqm_text(cell._replace(iqm=Estimate(1.0, None))) == iqm_text(None) == "–"
+    assert [rank_text(rank) for rank in (Rank(1, 1), Rank(2, 4), None)] == ["1", "2–4", "–"]
     assert number_text(-12.3456) == "-12.35"
 
 
 def test_the_table_by_hand():
     entries = [
         Entry("b", submission({"Hopper": [80.0, 100.0, 120.0], "Ant": [20.0]}, agent="B", privileged="own-history")),
-        Entry("a", submission({"Hopper": [20.0] * 5}, agent="A")),
+        Entry("a", submission({"Hopper": [20.0] * 5}, agent="A"), "replayed"),
     ]
     text = page(entries)
     assert "## Zero-shot, last checkpoint (official)" in text
@@ -106,11 +111,23 @@ def test_the_table_by_hand():
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
         "| B *(partial)* | A\\. Author | – | **50.00 ± 10.00 (3 runs)** | – | – | **10.00 (1 run)** | own-history "
         "| self-reported |",
-        "| A *(partial)* | A\\. Author | – | 10.00 ± 0.00 | – | – | – | none | self-reported |",
+        "| A *(partial)* | A\\. Author | – | 10.00 ± 0.00 | – | – | – | none | replayed |",
         "| *behaviour data* |  | – | 26.00 | 26.00 | 26.00 | 26.00 |  | reference |",
     ]
     assert "| Hopper | 100.00 | 78.26 | 61.54 | 48.28 | 37.50 |" in text  # B's mean return 100 in each test dynamics
+    ranks = re.search(r"\| Agent [^\n]* All robots .*?\n\n", text, re.DOTALL)
+    assert ranks is not None
+    assert ranks[0].strip().split("\n") == [
+        "| Agent | Walker | Hopper | HalfCheetah | SlimHumanoid | Ant | All robots |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| B | – | 50.00 [40.00, 60.00], 1 | – | – | – | – |",  # one run on Ant
+        "| A | – | 10.00 [10.00, 10.00], 2 | – | – | – | – |",
+    ]
     assert page(entries) == text
+
+
+def test_single_runs_have_no_second_table():
+    assert "All robots" not in page([Entry("a", submission({"Hopper": [80.0], "Ant": [20.0]}))])
 
 
 def test_an_empty_board_says_so():

@@ -6,7 +6,9 @@ import pytest
 
 from dynagen_bench import ids
 from leaderboard.entries import Entry
-from leaderboard.standings import Cell, data_scores, dynamics_scores, run_scores, standings
+from leaderboard.published import PUBLISHED
+from leaderboard.standings import data_scores, dynamics_scores, run_scores, standings, task_scores
+from leaderboard.statistics import Estimate, Rank
 from tests.evaluation.samples import submission, write_references
 
 
@@ -27,8 +29,65 @@ def test_scores_are_computed_from_the_returns():
 def test_mean_and_sample_deviation_by_hand():
     cell = rows([entry("a", {"Hopper": [80.0, 100.0, 120.0]})])["a"].cells["Hopper"]
     # scores 40, 50, 60: deviations −10, 0, 10, their squares' sum 200 over 3 − 1
-    assert cell == Cell(50.0, 10.0, 3, bold=True)
-    assert rows([entry("a", {"Hopper": [80.0]})])["a"].cells["Hopper"] == Cell(40.0, None, 1, bold=True)
+    assert cell[:4] == (50.0, 10.0, 3, True)
+    assert rows([entry("a", {"Hopper": [80.0]})])["a"].cells["Hopper"][:4] == (40.0, None, 1, True)
+
+
+def test_bold_is_as_in_the_paper():
+    # Table 2: DT and DADT are bold on Walker and Hopper, DT alone on HalfCheetah, DADT alone on SlimHumanoid
+    table = next(table for table in PUBLISHED if table.number == 2)
+    bold = {row.agent: [cell is not None and cell.bold for cell in row.cells] for row in table.rows}
+    assert bold["Transformer-BC"][:4] == [False] * 4
+    assert bold["DT"][:4] == [True, True, True, False]
+    assert bold["DADT"] == [True, True, False, True, True]
+
+
+def test_interquartile_means_and_ranks_by_hand(references):
+    write_references(references)
+    every = {robot: [100.0, 120.0] for robot in ids.ROBOTS}
+    found = rows(
+        [
+            entry("whole", every),  # scores 50 and 60 on every robot
+            entry("same", every | {"Ant": [110.0, 130.0, 0.0]}),  # its third run on Ant counts there alone
+            entry("single", every | {"Ant": [200.0]}),
+            entry("below", {"Ant": [20.0, 40.0]}),
+        ]
+    )
+    assert found["whole"].cells["Ant"].iqm == Estimate(55.0, (50.0, 60.0))
+    assert found["whole"].cells["Ant"].rank == Rank(1, 2)
+    assert found["same"].cells["Ant"].rank == Rank(1, 3)
+    assert found["below"].cells["Ant"].rank == Rank(2, 3)
+    assert found["single"].cells["Ant"].iqm == Estimate(100.0, None)
+    assert found["single"].cells["Ant"].rank is None
+    assert found["whole"].overall.iqm.value == 55.0
+    assert (found["same"].overall.mean, found["same"].overall.runs) == ((4 * 55 + 40) / 5, 2)
+    # twenty times 50, five times 55, twenty times 60 and five times 65, without twelve at either end
+    assert found["same"].overall.iqm.value == pytest.approx((8 * 50 + 5 * 55 + 13 * 60) / 26)
+    assert found["whole"].overall.rank == found["same"].overall.rank == Rank(1, 2)
+    assert found["single"].overall.rank is None
+    assert found["below"].overall is None
+
+
+def test_who_knew_the_test_dynamics_is_neither_marked_nor_ranked():
+    found = rows(
+        [
+            entry("expert", {"Ant": [190.0, 200.0]}, format_version=2, privileged="test-dynamics"),
+            entry("agent", {"Ant": [20.0, 40.0]}),
+        ]
+    )
+    assert list(found) == ["agent", "expert"]
+    assert not found["expert"].cells["Ant"].bold
+    assert found["expert"].cells["Ant"].rank is None
+    assert found["agent"].cells["Ant"].bold
+    assert found["agent"].cells["Ant"].rank == Rank(1, 1)
+
+
+def test_task_scores_are_on_the_robots_scale_and_in_order_of_seeds():
+    scores = task_scores(submission({"Ant": [60.0, 80.0]}))
+    assert scores["Ant"].tolist() == [[30.0] * 5, [40.0] * 5]
+    shuffled = submission({"Ant": [60.0, 80.0]})
+    shuffled = shuffled.model_copy(update={"runs": shuffled.runs[::-1]})
+    assert task_scores(shuffled)["Ant"].tolist() == scores["Ant"].tolist()
 
 
 def test_bold_is_within_one_deviation_of_the_best():

@@ -1,0 +1,83 @@
+"""The numbers that the paper published: its Tables 1 and 2, apart from every table of entries.
+
+What is here: `PUBLISHED`. Called by the site. They are scores in other draws of the dynamics, so they are not
+comparable in value with an entry's.
+"""
+
+from typing import Final, NamedTuple
+
+from dynagen_bench import ids
+
+
+class Score(NamedTuple):
+    """Mean and standard deviation over five runs, in per cent of the paper's own scale."""
+
+    mean: float
+    std: float | None
+    """None where the text that this was taken from has lost it."""
+    bold: bool = False
+    """Within one standard deviation of the best of its column, the paper's rule, applied to the numbers here."""
+
+
+class PublishedRow(NamedTuple):
+    """One method; an adapted one is another row than the same zero-shot."""
+
+    agent: str
+    source: str
+    cells: tuple[Score | None, ...]
+    """In the order of `ids.ROBOTS`."""
+
+
+class PublishedTable(NamedTuple):
+    """Rows that the paper compares with each other."""
+
+    number: int
+    """Of the paper's table."""
+    title: str
+    rows: tuple[PublishedRow, ...]
+
+
+def _row(agent: str, source: str, *scores: tuple[float, float | None]) -> PublishedRow:
+    return PublishedRow(agent, source, tuple(Score(mean, std) for mean, std in scores))
+
+
+def _table(number: int, title: str, *rows: PublishedRow) -> PublishedTable:
+    """The rows with what is bold marked; each column has its own best."""
+    marked = []
+    for row in rows:
+        cells = []
+        for place, cell in enumerate(row.cells):
+            best = max((other.cells[place] for other in rows), key=lambda score: score.mean if score else -1.0)
+            line = (best.mean - (best.std or 0.0)) if best else 0.0
+            cells.append(cell and cell._replace(bold=cell.mean >= line))
+        marked.append(row._replace(cells=tuple(cells)))
+    assert all(len(row.cells) == len(ids.ROBOTS) for row in marked)
+    return PublishedTable(number, title, tuple(marked))
+
+
+_FOCAL, _MERPO, _DT = "Li et al., 2020", "Lin et al., 2022", "Chen et al., 2021"
+
+_DADT = ((61.12, 4.99), (74.69, 4.22), (16.29, 1.95), (42.03, 1.68), (35.87, 1.62))
+
+PUBLISHED: Final = (
+    _table(
+        1,
+        "Zero-shot",
+        _row("FOCAL", _FOCAL, (52.44, 17.31), (41.56, 12.44), (10.60, 4.10), (20.45, 1.60), (18.73, 1.28)),
+        _row("MerPO", _MERPO, (40.67, 6.66), (53.21, None), (8.06, 1.09), (33.73, 1.41), (31.34, 0.80)),
+        _row("DADT", "the paper", *_DADT),
+    ),
+    _table(
+        1,
+        "Adaptation",
+        _row("MerPO", _MERPO, (48.11, 6.95), (57.38, 6.24), (14.36, 3.27), (32.51, 1.52), (37.08, 0.79)),
+        _row("DADT", "the paper", (64.65, 4.42), (83.11, 3.28), (23.48, 3.39), (39.58, 1.79), (54.85, 1.81)),
+    ),
+    _table(
+        2,
+        "Zero-shot, transformers",
+        _row("Transformer-BC", "", (46.50, 7.66), (62.63, 7.25), (16.31, 2.87), (38.87, 3.94), (34.37, 0.48)),
+        _row("DT", _DT, (59.81, 6.30), (71.49, 4.66), (20.86, 2.30), (39.93, 3.62), (32.04, 2.28)),
+        _row("DADT", "the paper", *_DADT),
+    ),
+)

@@ -1,0 +1,137 @@
+"""Submitting: two at once lose none, a kill leaves the board whole, and what was re-run is labelled so."""
+
+import multiprocessing
+import os
+import signal
+
+import pytest
+
+from dynagen_bench.datasets import scores
+from dynagen_bench.evaluation.submission import FILE_NAME, write_submission
+from leaderboard import board as boards
+from leaderboard.__main__ import main
+from leaderboard.board import PAGE, build, is_current, rerun, submit
+from leaderboard.entries import VERDICT, read_entries
+from tests.evaluation.samples import submission, traced
+
+FORK = multiprocessing.get_context("fork")
+
+
+def test_an_entry_has_its_traces_and_its_label(tmp_path, board):
+    made = traced(tmp_path / "mine", seeds=(0, 1))
+    (tmp_path / "mine" / "traces" / "other.bin").write_bytes(b"not copied")
+    entry = submit(tmp_path / "mine", board)
+    place = board / "entries" / entry.slug
+    assert entry.label == "replayed"
+    assert entry.submission == made
+    assert read_entries(board) == [entry]
+    files = sorted(str(path.relative_to(place)) for path in place.rglob("*") if path.is_file())
+    assert files == [FILE_NAME, *(run.trace_name for run in made.runs), VERDICT]
+    for run in made.runs:
+        assert (place / run.trace_name).read_bytes() == (tmp_path / "mine" / run.trace_name).read_bytes()
+
+
+def test_a_run_without_traces_makes_the_whole_entry_self_reported(tmp_path, board):
+    made = traced(tmp_path / "mine", seeds=(0, 1))
+    runs = [made.runs[0], made.runs[1].model_copy(update={"trace": None})]
+    (tmp_path / "mine" / FILE_NAME).write_text(made.model_copy(update={"runs": runs}).model_dump_json())
+    assert submit(tmp_path / "mine", board).label == "self-reported"
+
+
+def test_what_does_not_replay_leaves_the_board_alone(tmp_path, board):
+    write_submission(tmp_path / "first", submission())
+    submit(tmp_path / "first", board)
+    before = {path: path.read_bytes() for path in board.rglob("*") if path.is_file()}
+    made = traced(tmp_path / "mine", agent="other")
+    content = (tmp_path / "mine" / FILE_NAME).read_text(encoding="utf-8")
+    first = str(made.runs[0].evaluation.returns[0][0])
+    (tmp_path / "mine" / FILE_NAME).write_text(content.replace(first, "999.0", 1), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"returns\.0\.0: 999\.0 is claimed, the replay returns"):
+        submit(tmp_path / "mine", board)
+    assert {path: path.read_bytes() for path in board.rglob("*") if path.is_file()} == before
+
+
+def submit_one(references, folder, board, start):
+    scores.REFERENCE_FILE = references
+    start.wait()
+    submit(folder, board)
+
+
+def test_of_submits_at_the_same_time_none_is_lost(tmp_path, board, references):
+    names = [f"agent {number}" for number in range(6)]
+    for name in names:
+        write_submission(tmp_path / name, submission(agent=name))
+    start = FORK.Barrier(len(names))
+    processes = [FORK.Process(target=submit_one, args=(references, tmp_path / n, board, start)) for n in names]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(60)
+    assert [process.exitcode for process in processes] == [0] * len(names)
+    assert sorted(entry.submission.agent for entry in read_entries(board)) == names
+    assert is_current(board)
+
+
+def killed_at(call, references, folder, board):
+    """Submit, and be killed by the kernel at the call-th time that something is renamed."""
+    scores.REFERENCE_FILE = references
+    calls, replace = [], os.replace
+
+    def counting(source, target):
+        if len(calls) == call:
+            os.kill(os.getpid(), signal.SIGKILL)
+        calls.append(target)
+        replace(source, target)
+
+    os.replace = counting
+    submit(folder, board, replace=True)
+
+
+@pytest.mark.parametrize("call", range(6))
+def test_a_kill_at_any_rename_leaves_the_old_entry_or_the_new_one(tmp_path, board, references, call):
+    write_submission(tmp_path / "old", submission({"Hopper": [80.0]}))
+    submit(tmp_path / "old", board)
+    made = traced(tmp_path / "new")
+    process = FORK.Process(target=killed_at, args=(call, references, tmp_path / "new", board))
+    process.start()
+    process.join(60)
+    assert process.exitcode == -signal.SIGKILL
+    build(board)  # what the next command does
+    (entry,) = read_entries(board)
+    assert entry.submission == (made if call == 5 else submission({"Hopper": [80.0]}))
+    assert is_current(board)
+    assert not [path.name for path in (board / "entries").iterdir() if path.name != entry.slug]
+    submit(tmp_path / "new", board, replace=True)
+    assert read_entries(board)[0].label == "replayed"
+
+
+def test_what_maintainers_ran_again_is_labelled_so(tmp_path, board, capsys):
+    traced(tmp_path / "mine", seeds=(0, 1))
+    slug = submit(tmp_path / "mine", board).slug
+    traced(tmp_path / "own", seeds=(1, 0), agent="ours")
+    assert main(["rerun", slug, str(tmp_path / "own"), "--board", str(board)]) == 0
+    assert capsys.readouterr().out == f"{slug} is labelled re-run\n"
+    (entry,) = read_entries(board)
+    assert entry.label == "re-run"
+    assert is_current(board)
+    assert main(["verify", "--all", "--board", str(board)]) == 0
+
+
+def test_what_was_not_run_again_is_not(tmp_path, board):
+    traced(tmp_path / "mine", seeds=(0, 1))
+    slug = submit(tmp_path / "mine", board).slug
+    made = traced(tmp_path / "own", seeds=(0,))
+    with pytest.raises(ValueError, match="the run of Hopper with seed 1 is missing"):
+        rerun(slug, tmp_path / "own", board)
+    other = traced(tmp_path / "other", seeds=(2,)).runs[0].model_copy(update={"seed": 0})
+    (tmp_path / "own" / FILE_NAME).write_text(made.model_copy(update={"runs": [other]}).model_dump_json())
+    with pytest.raises(ValueError, match="the run of Hopper with seed 0 did something else"):
+        rerun(slug, tmp_path / "own", board)
+    with pytest.raises(FileNotFoundError, match="has no entry 'nobody'"):
+        rerun("nobody", tmp_path / "own", board)
+    write_submission(tmp_path / "first", submission(agent="first"))
+    with pytest.raises(ValueError, match="is self-reported: only what was replayed exactly"):
+        rerun(submit(tmp_path / "first", board).slug, tmp_path / "own", board)
+    assert [entry.label for entry in read_entries(board)] == ["replayed", "self-reported"]
+    assert (board / PAGE).is_file()
+    assert boards.is_current(board)
