@@ -103,8 +103,9 @@ def test_a_killed_job_is_tried_again_and_one_that_always_fails_stops_no_other(tm
 
 
 RUN = """
-import sys
+import signal, sys
 from pathlib import Path
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background commands inherit that it is ignored
 from dynagen_bench.jobs import run_jobs
 from tests.jobs.test_local import chain
 folder = Path(sys.argv[1])

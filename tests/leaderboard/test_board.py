@@ -12,6 +12,7 @@ from dynagen_bench.evaluation.submission import FILE_NAME, write_submission
 from leaderboard.__main__ import main
 from leaderboard.board import BOARD, PAGE, build, is_current, submit
 from leaderboard.entries import read_entries, slug_of
+from leaderboard.site.builder import SITE
 from tests.evaluation.samples import evaluation, submission, write_references
 
 
@@ -32,7 +33,7 @@ def test_a_submission_is_copied_and_the_page_made(folder, board):
     (folder / "large.bin").write_bytes(b"not copied")
     entry = submit(folder, board)
     assert entry.slug == "dadt-zero-shot-last"
-    assert list(contents(board)) == [PAGE, f"entries/{entry.slug}/{FILE_NAME}"]
+    assert list(contents(board)) == [PAGE, f"entries/{entry.slug}/{FILE_NAME}", SITE]
     assert read_entries(board) == [entry]
     assert "**50.00 ± 14.14 (2 runs)**" in (board / PAGE).read_text(encoding="utf-8")
     assert is_current(board)
@@ -73,7 +74,7 @@ def test_the_bytes_do_not_depend_on_the_order_of_submitting(tmp_path):
 
 
 @pytest.mark.parametrize("replace", [False, True])
-@pytest.mark.parametrize("failing", range(4))
+@pytest.mark.parametrize("failing", range(5))
 @pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt()])
 def test_an_interrupted_submit_leaves_the_board_as_it_was(
     folder, board, tmp_path, monkeypatch, replace, failing, error
@@ -94,7 +95,7 @@ def test_an_interrupted_submit_leaves_the_board_as_it_was(
 
     for name in ("replace", "rename"):
         monkeypatch.setattr(os, name, interrupted(getattr(os, name)))
-    moves = 4 if replace else 3  # the entry's file, an old folder away, the new one in, the page
+    moves = 5 if replace else 4  # the entry's file, an old folder away, the new one in, two pages
     if failing < moves:
         with pytest.raises(type(error)):
             submit(tmp_path / "other", board, replace)
