@@ -8,14 +8,14 @@ One file tells one paper; `train` is the one loop. Letters for shapes, everywher
 
 from typing import Any, Final
 
-from agents.config import TransformerConfig
+from agents.config import TrainingConfig
 from agents.dadt import DADT, DADTConfig
 from agents.dt import DecisionTransformer, DTConfig
 from agents.transformer_bc import TransformerBC, TransformerBCConfig
 
 __all__ = ["AGENTS"]
 
-AGENTS: Final[dict[str, tuple[type[TransformerConfig], Any]]] = {
+AGENTS: Final[dict[str, tuple[type[TrainingConfig], Any]]] = {
     "dadt": (DADTConfig, DADT),
     "dt": (DTConfig, DecisionTransformer),
     "transformer_bc": (TransformerBCConfig, TransformerBC),

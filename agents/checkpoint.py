@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from agents import AGENTS
-from agents.config import TransformerConfig
+from agents.config import TrainingConfig
 from agents.interface import Agent, RobotSpec
 from dynagen_bench.datasets.normalization import Normalization
 from dynagen_bench.whole import whole_file
@@ -50,7 +50,7 @@ class Checkpoint:
     """
 
     agent: str
-    config: TransformerConfig
+    config: TrainingConfig
     spec: RobotSpec
     seed: int
     step: int

@@ -1,8 +1,8 @@
-"""What the sequence agents are configured with: the paper's Table 6, once.
+"""What agents are configured with: the paper's Table 6, once.
 
-What is here: the fields that DADT, Decision Transformer and Transformer-BC share, with the paper's values as defaults,
-and their checks. The agents' own configs add fields to it; `train.py` reads the optimisation part. It must not know
-what an agent does with a window.
+What is here: how any agent is trained (`TrainingConfig`, all that the training loop reads), the transformer that DADT,
+Decision Transformer and Transformer-BC share, with the paper's values as defaults, and their checks. The agents' own
+configs add fields. It must not know what an agent does with its samples.
 """
 
 import dataclasses
@@ -16,20 +16,22 @@ import torch
 Precision = Literal["float32", "bfloat16"]
 
 # Lowest and highest value of each field, both allowed; a whole number is wanted where the low end is an int.
-_RANGES: Final[dict[str, tuple[float, float]]] = {
-    "layers": (1, 100),
-    "heads": (1, 1024),
-    "embedding": (1, 65536),
+_TRAINING_RANGES: Final[dict[str, tuple[float, float]]] = {
     "context": (1, 200),
     "batch_size": (1, 1_000_000),
     "steps": (1, 1_000_000_000),
     "warmup_steps": (0, 1_000_000_000),
-    "dropout": (0.0, 0.99),
     "learning_rate": (0.0, 1.0),
     "beta1": (0.0, 0.999999),
     "beta2": (0.0, 0.999999),
     "weight_decay": (0.0, 10.0),
     "gradient_clip": (1e-6, math.inf),
+}
+_TRANSFORMER_RANGES: Final[dict[str, tuple[float, float]]] = {
+    "layers": (1, 100),
+    "heads": (1, 1024),
+    "embedding": (1, 65536),
+    "dropout": (0.0, 0.99),
 }
 
 
@@ -44,23 +46,15 @@ def fast_precision() -> Precision:
 
 
 @dataclasses.dataclass(frozen=True)
-class TransformerConfig:
-    """Architecture and optimisation of a sequence agent; defaults are Table 6 and appendix C of the paper.
+class TrainingConfig:
+    """What is sampled and how it is optimised, for any agent; defaults are Table 6 and appendix C of the paper.
 
     Raises:
         ValueError: a field is out of its range; the message names the field, the value and the range.
     """
 
-    layers: int = 3
-    """Transformer blocks."""
-    heads: int = 1
-    """Attention heads a block; divides `embedding`."""
-    embedding: int = 128
-    """Size D of a token."""
     context: int = 20
-    """Steps K that the agent sees: 3K tokens for DT and DADT."""
-    dropout: float = 0.1
-    """On embeddings, attention weights and the output of each sublayer."""
+    """Steps K of a window."""
     batch_size: int = 64
     """Windows in a gradient step."""
     steps: int = 1_000_000
@@ -77,11 +71,37 @@ class TransformerConfig:
     """Of AdamW, on every parameter as in the original Decision Transformer."""
     gradient_clip: float = 1.0
     """Largest norm of the whole gradient."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, _TRAINING_RANGES)
+
+    def for_robot(self, robot: str) -> Self:
+        """This config with the fields filled in that depend on the robot or on other fields; here there are none."""
+        return self
+
+    def learning_rate_at(self, step: int) -> float:
+        """Learning rate of the update number `step`, counted from 0 (kzl/decision-transformer, gym/experiment.py)."""
+        return self.learning_rate * min((step + 1) / max(self.warmup_steps, 1), 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class TransformerConfig(TrainingConfig):
+    """Architecture of a sequence agent as well; defaults are Table 6. Its context K makes 3K tokens for DT and DADT."""
+
+    layers: int = 3
+    """Transformer blocks."""
+    heads: int = 1
+    """Attention heads a block; divides `embedding`."""
+    embedding: int = 128
+    """Size D of a token."""
+    dropout: float = 0.1
+    """On embeddings, attention weights and the output of each sublayer."""
     precision: Precision = dataclasses.field(default_factory=fast_precision)
     """Of the trunk's products in training; if left out, what this machine does fast. Agents act in float32."""
 
     def __post_init__(self) -> None:
-        check_ranges(self, _RANGES)
+        super().__post_init__()
+        check_ranges(self, _TRANSFORMER_RANGES)
         if self.precision not in get_args(Precision):
             raise ValueError(f"precision is {self.precision!r}: give one of {', '.join(get_args(Precision))}")
         if self.embedding % self.heads:
@@ -92,14 +112,6 @@ class TransformerConfig:
         """`precision`, as torch calls it."""
         found: torch.dtype = getattr(torch, self.precision)
         return found
-
-    def for_robot(self, robot: str) -> Self:
-        """This config with the fields that depend on the robot filled in; here there are none."""
-        return self
-
-    def learning_rate_at(self, step: int) -> float:
-        """Learning rate of the update number `step`, counted from 0 (kzl/decision-transformer, gym/experiment.py)."""
-        return self.learning_rate * min((step + 1) / max(self.warmup_steps, 1), 1.0)
 
 
 def check_ranges(config: Any, ranges: dict[str, tuple[float, float]]) -> None:

@@ -1,12 +1,12 @@
 """What passes between the agents and the rest: the robot's facts, what an agent sees, what an agent offers.
 
-What is here: `RobotSpec`, `History` and the `Agent` protocol. Every agent, `acting`, `checkpoint` and `learner` use it.
-It must not know any agent.
+What is here: `RobotSpec`, `History` and the protocols: `Agent`, `Predictor` and what both are for the training loop.
+Every agent, `acting`, `checkpoint` and `learner` use it. It must not know any agent.
 """
 
 import dataclasses
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 import torch
@@ -80,17 +80,15 @@ class History(NamedTuple):
         assert self.returns_to_go.shape == self.timesteps.shape == (batch, context), self.returns_to_go.shape
 
 
-class Agent(Protocol):
-    """What the training loop needs of an agent; a `torch.nn.Module` with `loss` and `policy` is one.
+class Trainable(Protocol):
+    """What the training loop needs; a `torch.nn.Module` with `loss` is one.
 
-    An agent class is called as `AgentClass(config, spec, generator)`, the generator drawing its first parameters.
+    Its class is called as `TrainableClass(config, spec, generator)`, the generator drawing its first parameters.
+    Parameters that a loss does not reach stay as they are in its step.
     """
 
     def loss(self, windows: Windows, generator: torch.Generator | None) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss to minimise, and its parts by name; `generator` draws dropout, None leaves dropout out."""
-
-    def policy(self) -> Policy:
-        """A new policy acting with the parameters of this agent, at the start of its episodes."""
 
     def parameters(self) -> Iterator[torch.nn.Parameter]:
         """As of `torch.nn.Module`."""
@@ -100,3 +98,30 @@ class Agent(Protocol):
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> Any:
         """As of `torch.nn.Module`."""
+
+
+@runtime_checkable
+class Agent(Trainable, Protocol):
+    """Acts: one of `AGENTS`."""
+
+    def policy(self) -> Policy:
+        """A new policy acting with the parameters of this agent, at the start of its episodes."""
+
+
+@runtime_checkable
+class Predictor(Trainable, Protocol):
+    """Predicts the next state: one of `PREDICTORS`, and agents that can."""
+
+    def predict(self, windows: Windows) -> Tensor:
+        """Normalised next states (B, K, S) float32, each from its step and those before in the window; no dropout.
+
+        Numbers at padded steps mean nothing. It does not look at `windows.next_observations` of its own step or later.
+        """
+
+
+@runtime_checkable
+class Phased(Protocol):
+    """Is told how far training is: for agents that learn one thing after another."""
+
+    def begin(self, step: int) -> None:
+        """The update number `step`, counted from 0, comes next; `step` may be any, in a run that continues."""

@@ -10,15 +10,15 @@ import torch
 
 from agents import AGENTS
 from agents.checkpoint import Checkpoint, package_versions
-from agents.config import TransformerConfig
-from agents.interface import Agent, RobotSpec
+from agents.config import TrainingConfig
+from agents.interface import Agent, Phased, RobotSpec
 from dynagen_bench.datasets import WindowSampler
 
 
 class Learner:
     """An agent, its optimiser, and how far they are."""
 
-    def __init__(self, name: str, config: TransformerConfig, spec: RobotSpec, seed: int) -> None:
+    def __init__(self, name: str, config: TrainingConfig, spec: RobotSpec, seed: int) -> None:
         """An untrained agent, on CUDA where it is there; the seed draws its parameters."""
         self.name, self.config, self.spec, self.seed = name, config, spec, seed
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -42,6 +42,8 @@ class Learner:
         rng = np.random.default_rng([self.seed, self.step])  # so that a continued run draws the same
         windows = sampler.sample(self.config.batch_size, rng)
         self._dropout.manual_seed(int(rng.integers(2**63)))
+        if isinstance(self.agent, Phased):
+            self.agent.begin(self.step)
         loss, parts = self.agent.loss(windows, self._dropout)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]

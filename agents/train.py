@@ -23,7 +23,7 @@ import tyro
 
 from agents import AGENTS
 from agents.checkpoint import load_checkpoint, package_versions, save_checkpoint
-from agents.config import TransformerConfig
+from agents.config import TrainingConfig
 from agents.interface import RobotSpec
 from agents.learner import Learner
 from agents.run_folder import Curves, RunSettings, claimed, git_commit, read_json, write_json
@@ -32,7 +32,7 @@ from dynagen_bench.evaluation import Evaluation, evaluate
 from dynagen_bench.evaluation.traces import save_traces
 
 
-def train(name: str, config: TransformerConfig, settings: RunSettings, dataset: OfflineDataset) -> Path:
+def train(name: str, config: TrainingConfig, settings: RunSettings, dataset: OfflineDataset) -> Path:
     """Train an agent, or go on with its run, and evaluate it; returns the run folder.
 
     Raises:
@@ -143,7 +143,7 @@ def score_if_known(evaluation: Evaluation) -> dict[str, float]:
         return {}
 
 
-def describe(name: str, config: TransformerConfig, settings: RunSettings, dataset: OfflineDataset) -> dict[str, Any]:
+def describe(name: str, config: TrainingConfig, settings: RunSettings, dataset: OfflineDataset) -> dict[str, Any]:
     """What config.json says of a run."""
     return {
         "agent": name,
@@ -155,10 +155,10 @@ def describe(name: str, config: TransformerConfig, settings: RunSettings, datase
     }
 
 
-def _command(name: str, config_class: type[TransformerConfig]) -> Any:
+def _command(name: str, config_class: type[TrainingConfig]) -> Any:
     """The subcommand of one agent: the run's settings and the config's fields, side by side."""
 
-    def command(settings: RunSettings, config: TransformerConfig) -> None:
+    def command(settings: RunSettings, config: TrainingConfig) -> None:
         if settings.threads:
             torch.set_num_threads(settings.threads)
         dataset = load_dataset(settings.robot, "train", every=settings.every)

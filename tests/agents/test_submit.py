@@ -36,7 +36,7 @@ def test_runs_become_a_submission_that_the_leaderboard_reads(tmp_path):
         assert submitted.trace is not None
         assert [point.gradient_steps for point in submitted.curve] == [1, 2]
         assert submitted.curve[-1].mean_return == pytest.approx(evaluation.returns.mean(), rel=1e-6)
-    assert found.commands[1].startswith("python -m agents.train dadt --robot Hopper --seed 1 --every 4 --layers 2 ")
+    assert found.commands[1].startswith("python -m agents.train dadt --robot Hopper --seed 1 --every 4 --context 5 ")
     assert all(check.label == "replayed" for check in verify(tmp_path / "out", found))
     assert found.versions.keys() >= {"torch", "mujoco", "numpy", "gymnasium"}
 
