@@ -40,12 +40,15 @@ class SACSettings:
 _FASTER: Final = SACSettings(gradient_steps=64, learning_rate=1e-3)
 """One update an environment step, at three times the rate: on HalfCheetah it has at 100K what the other has at 800K."""
 
+_NEARER: Final = dataclasses.replace(_FASTER, gamma=0.98)
+"""Looks less far ahead as well, which helps where the robot cannot fall or falls seldom, and harms Walker."""
+
 SETTINGS: Final[Mapping[str, SACSettings]] = {
     "Walker": _FASTER,
     "Hopper": SACSettings(),
-    "HalfCheetah": _FASTER,
+    "HalfCheetah": _NEARER,
     "SlimHumanoid": _FASTER,
-    "Ant": _FASTER,
+    "Ant": _NEARER,
 }
 """Robot → what its 25 runs are trained with (docs/behaviour-policies.md says what else was tried)."""
 
