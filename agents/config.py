@@ -13,6 +13,9 @@ from typing import Any, Final, Literal, Self, get_args
 
 import torch
 
+from agents.interface import Sampler
+from dynagen_bench.datasets import Normalization, OfflineDataset, WindowSampler
+
 Precision = Literal["float32", "bfloat16"]
 
 # Lowest and highest value of each field, both allowed; a whole number is wanted where the low end is an int.
@@ -78,6 +81,10 @@ class TrainingConfig:
     def for_robot(self, robot: str) -> Self:
         """This config with the fields filled in that depend on the robot or on other fields; here there are none."""
         return self
+
+    def sampler(self, dataset: OfflineDataset, normalization: Normalization) -> Sampler:
+        """What draws the batches of a gradient step: windows of K steps."""
+        return WindowSampler(dataset, self.context, normalization)
 
     def learning_rate_at(self, step: int) -> float:
         """Learning rate of the update number `step`, counted from 0 (kzl/decision-transformer, gym/experiment.py)."""

@@ -80,6 +80,13 @@ class History(NamedTuple):
         assert self.returns_to_go.shape == self.timesteps.shape == (batch, context), self.returns_to_go.shape
 
 
+class Sampler(Protocol):
+    """Draws what a gradient step is computed from; most draw `Windows`."""
+
+    def sample(self, batch_size: int, rng: np.random.Generator) -> Any:
+        """One batch, from `rng` alone."""
+
+
 class Trainable(Protocol):
     """What the training loop needs; a `torch.nn.Module` with `loss` is one.
 
@@ -87,8 +94,13 @@ class Trainable(Protocol):
     Parameters that a loss does not reach stay as they are in its step.
     """
 
-    def loss(self, windows: Windows, generator: torch.Generator | None) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss to minimise, and its parts by name; `generator` draws dropout, None leaves dropout out."""
+    def loss(self, windows: Any, generator: torch.Generator | None) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss to minimise, and its parts by name.
+
+        Args:
+            windows: what the sampler of the agent's config drew.
+            generator: draws dropout and other noise; None leaves dropout out.
+        """
 
     def parameters(self) -> Iterator[torch.nn.Parameter]:
         """As of `torch.nn.Module`."""

@@ -11,8 +11,7 @@ import torch
 from agents import AGENTS
 from agents.checkpoint import Checkpoint, package_versions
 from agents.config import TrainingConfig
-from agents.interface import Agent, Phased, RobotSpec
-from dynagen_bench.datasets import WindowSampler
+from agents.interface import Agent, Phased, RobotSpec, Sampler
 
 
 class Learner:
@@ -33,7 +32,7 @@ class Learner:
         self.step, self.seconds = 0, 0.0
         self._dropout = torch.Generator(device)
 
-    def update(self, sampler: WindowSampler) -> dict[str, float]:
+    def update(self, sampler: Sampler) -> dict[str, float]:
         """One gradient step; returns the losses and the gradient's norm.
 
         Raises:

@@ -24,10 +24,10 @@ import tyro
 from agents import AGENTS
 from agents.checkpoint import load_checkpoint, package_versions, save_checkpoint
 from agents.config import TrainingConfig
-from agents.interface import RobotSpec
+from agents.interface import RobotSpec, Sampler
 from agents.learner import Learner
 from agents.run_folder import Curves, RunSettings, claimed, git_commit, read_json, write_json
-from dynagen_bench.datasets import OfflineDataset, WindowSampler, load_dataset
+from dynagen_bench.datasets import OfflineDataset, load_dataset
 from dynagen_bench.evaluation import Evaluation, evaluate
 from dynagen_bench.evaluation.traces import save_traces
 
@@ -55,7 +55,7 @@ def train(name: str, config: TrainingConfig, settings: RunSettings, dataset: Off
             learner.restore(load_checkpoint(last, agent=name, robot=settings.robot))
         if learner.step > config.steps:
             raise ValueError(f"{folder} is at step {learner.step} already: give --steps {learner.step} or more")
-        sampler = WindowSampler(dataset, config.context, normalization)
+        sampler = config.sampler(dataset, normalization)
         curves = Curves(folder, learner.step)
         try:
             _run(learner, sampler, settings, folder, curves)
@@ -66,7 +66,7 @@ def train(name: str, config: TrainingConfig, settings: RunSettings, dataset: Off
     return folder
 
 
-def _run(learner: Learner, sampler: WindowSampler, settings: RunSettings, folder: Path, curves: Curves) -> None:
+def _run(learner: Learner, sampler: Sampler, settings: RunSettings, folder: Path, curves: Curves) -> None:
     """Train to the last step: after each, what is due of a line of the curves, an evaluation and a checkpoint."""
     steps, recent = learner.config.steps, list[dict[str, float]]()
     before, started = learner.seconds, time.monotonic()
