@@ -26,7 +26,8 @@ demo: $(INSTALLED)  ## rebuild a part of Hopper's data, train three agents on it
 	  $(BIN)/python -m leaderboard submit .demo/$$agent --board .demo/board --replace; \
 	done
 	$(BIN)/python -m leaderboard show --board .demo/board
-	@echo "Learning curves: .demo/runs/*/curves.csv, or $(BIN)/tensorboard --logdir .demo/runs"
+	$(BIN)/python -m agents.summary .demo/runs --output .demo/summary.html
+	@echo "Learning curves: .demo/summary.html, or $(BIN)/tensorboard --logdir .demo/runs"
 
 test: $(INSTALLED)  ## all tests
 	$(BIN)/python -m pytest

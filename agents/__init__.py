@@ -6,18 +6,55 @@ One file tells one paper; `train` is the one loop. Letters for shapes, everywher
     S state size    A action size    N parallel environments
 """
 
-from typing import Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
+from agents.cadm import CaDM, CaDMConfig
 from agents.config import TrainingConfig
 from agents.dadt import DADT, DADTConfig
 from agents.dt import DecisionTransformer, DTConfig
+from agents.dt_plus import DTPlus, DTPlusConfig
+from agents.focal import FOCAL, FOCALConfig
+from agents.lstm import LSTM, LSTMConfig
+from agents.mlp import MLP, MLPConfig
 from agents.transformer_bc import TransformerBC, TransformerBCConfig
 
-__all__ = ["AGENTS"]
+if TYPE_CHECKING:
+    from agents.interface import Agent
+
+__all__ = ["AGENTS", "PREDICTORS", "TRAINABLE", "load"]
 
 AGENTS: Final[dict[str, tuple[type[TrainingConfig], Any]]] = {
     "dadt": (DADTConfig, DADT),
     "dt": (DTConfig, DecisionTransformer),
+    "dt_plus": (DTPlusConfig, DTPlus),
+    "focal": (FOCALConfig, FOCAL),
     "transformer_bc": (TransformerBCConfig, TransformerBC),
 }
 """Name → its config's class and its own (see `interface.Agent`)."""
+
+PREDICTORS: Final[dict[str, tuple[type[TrainingConfig], Any]]] = {
+    "cadm": (CaDMConfig, CaDM),
+    "lstm": (LSTMConfig, LSTM),
+    "mlp": (MLPConfig, MLP),
+}
+"""The same for what predicts the next state and does not act (see `interface.Predictor`): the paper's Figure 4."""
+
+TRAINABLE: Final = AGENTS | PREDICTORS
+"""All that `train` trains and a checkpoint may be of."""
+
+
+def load(name: str | Path, robot: str | None = None) -> "Agent":
+    """An agent that was trained before; its `policy()` acts.
+
+    Args:
+        name: a run folder, of which the last checkpoint is taken, or a checkpoint; with a robot, an agent's name.
+        robot: the robot whose stored weights (`agents/pretrained/`) are wanted.
+
+    Raises:
+        FileNotFoundError: there is nothing of that name; the message tells what is stored.
+        ValueError: the file is no checkpoint, or not one of an agent.
+    """
+    from agents.pretrained import load_agent  # here: it needs the dicts above
+
+    return load_agent(name, robot)

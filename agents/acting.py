@@ -4,9 +4,9 @@ What is here: `ContextPolicy`, which an agent's `policy()` returns. It satisfies
 `dynagen_bench.evaluation`. It must not know which agent it acts for, nor the environment.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import torch
@@ -20,8 +20,12 @@ LANES: Final = 10
 """Episodes in one forward pass: more gain little, and one episode alone costs as much as these."""
 
 
-def blockwise(act: Callable[[History], Tensor], device: torch.device) -> Callable[[History], Tensor]:
-    """`act` (B, K) → (B, A) on its device, for any number of episodes: each acts alone as beside others, bit for bit.
+Seen = TypeVar("Seen", bound=tuple[Tensor, ...])
+"""A named tuple of tensors whose first axis is that of episodes, such as `History`."""
+
+
+def blockwise(act: Callable[[Seen], Tensor], device: torch.device) -> Callable[[Seen], Tensor]:
+    """`act` (B, ...) → (B, A) on its device, for any number of episodes: each acts alone as beside others, bit for bit.
 
     A matrix product may round a row otherwise in a product of another shape, or where threads share it. So `act` gets
     blocks of `LANES` episodes, the last one filled up with padding, and each block is one thread's alone: torch's
@@ -29,14 +33,14 @@ def blockwise(act: Callable[[History], Tensor], device: torch.device) -> Callabl
     tests hold the whole.
     """
 
-    def act_alone(block: History) -> Tensor:
+    def act_alone(block: Seen) -> Tensor:
         with torch.inference_mode():  # of this thread
-            return act(History(*(x.to(device) for x in block))).cpu()
+            return act(_like(block, (x.to(device) for x in block))).cpu()
 
-    def act_in_blocks(history: History) -> Tensor:
-        lanes = len(history.mask)
-        filled = (torch.cat((x, x.new_zeros(-lanes % LANES, *x.shape[1:]))) for x in history)
-        blocks = list(map(History, *(torch.split(x, LANES) for x in filled)))
+    def act_in_blocks(seen: Seen) -> Tensor:
+        lanes = len(seen[0])
+        filled = (torch.cat((x, x.new_zeros(-lanes % LANES, *x.shape[1:]))) for x in seen)
+        blocks = [_like(seen, parts) for parts in zip(*(torch.split(x, LANES) for x in filled), strict=True)]
         threads = torch.get_num_threads()
         if threads == 1 or device.type != "cpu":
             return torch.cat(list(map(act_alone, blocks)))[:lanes]
@@ -46,6 +50,11 @@ def blockwise(act: Callable[[History], Tensor], device: torch.device) -> Callabl
         return torch.cat(actions)[:lanes]
 
     return act_in_blocks
+
+
+def _like(seen: Seen, tensors: Iterable[Tensor]) -> Seen:
+    """A named tuple of the same kind."""
+    return type(seen)(*tensors)
 
 
 class ContextPolicy:

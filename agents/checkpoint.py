@@ -23,9 +23,9 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
-from agents import AGENTS
+from agents import TRAINABLE
 from agents.config import TrainingConfig
-from agents.interface import Agent, RobotSpec
+from agents.interface import RobotSpec, Trainable
 from dynagen_bench.datasets.normalization import Normalization
 from dynagen_bench.whole import whole_file
 
@@ -39,7 +39,7 @@ class Checkpoint:
     """A run after `step` gradient steps.
 
     Attributes:
-        agent: its name in `AGENTS`.
+        agent: its name in `TRAINABLE`.
         config, spec: what the agent was made of.
         seed: of the run.
         step: gradient steps done.
@@ -59,9 +59,9 @@ class Checkpoint:
     optimizer: Mapping[str, Mapping[str, Tensor]]
     versions: Mapping[str, str]
 
-    def build_agent(self) -> Agent:
-        """The agent with these parameters; raises RuntimeError where they are not those of the config."""
-        agent: Agent = AGENTS[self.agent][1](self.config, self.spec, torch.Generator())
+    def build_agent(self) -> Trainable:
+        """The agent or predictor with these parameters; raises RuntimeError where they are not those of the config."""
+        agent: Trainable = TRAINABLE[self.agent][1](self.config, self.spec, torch.Generator())
         agent.load_state_dict(self.parameters)
         return agent
 
@@ -148,7 +148,7 @@ def _from_file(path: Path, metadata: Mapping[str, Any], tensors: Mapping[str, Te
         normalization = Normalization(_array(tensors["normalization/mean"]), _array(tensors["normalization/std"]))
         return Checkpoint(
             agent=metadata["agent"],
-            config=AGENTS[metadata["agent"]][0](**metadata["config"]),
+            config=TRAINABLE[metadata["agent"]][0](**metadata["config"]),
             spec=RobotSpec(metadata["robot"], _array(tensors["action_limit"]), normalization),
             seed=metadata["seed"],
             step=metadata["step"],

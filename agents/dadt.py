@@ -46,11 +46,6 @@ class DADT(nn.Module):
         self.next_state_head = linear(config.embedding, spec.state_size, generator)
         self.weight = config.next_state_weight
 
-    def next_states(self, at_actions: Tensor) -> Tensor:
-        """Normalised next states (B, K, S) from the trunk's output at action tokens (B, K, D)."""
-        out: Tensor = self.next_state_head(at_actions)
-        return out
-
     def loss(self, windows: Windows, generator: torch.Generator | None) -> tuple[Tensor, dict[str, Tensor]]:
         """Action error + λ · next-state error; see `interface.Agent`."""
         device = self.dt.limit.device
@@ -58,10 +53,22 @@ class DADT(nn.Module):
         assert next_observations.shape == history.observations.shape, next_observations.shape
         at_states, at_actions = self.dt.encode(history, (STATE, ACTION), generator)
         action_loss = masked_mean_square(self.dt.actions(at_states) - history.actions, history.mask)
-        next_state_loss = masked_mean_square(self.next_states(at_actions) - next_observations, history.mask)
+        next_state_loss = masked_mean_square(self.next_state_head(at_actions) - next_observations, history.mask)
         parts = {"action_loss": action_loss, "next_state_loss": next_state_loss}
         return action_loss + self.weight * next_state_loss, parts
+
+    def predict(self, windows: Windows) -> Tensor:
+        """Normalised next states (B, K, S); see `interface.Predictor`."""
+        return next_states(self.dt, self.next_state_head, windows)
 
     def policy(self) -> ContextPolicy:
         """As Decision Transformer's."""
         return self.dt.policy()
+
+
+def next_states(dt: DecisionTransformer, head: nn.Module, windows: Windows) -> Tensor:
+    """What a head (D → S) reads from the action tokens: normalised next states (B, K, S), in float32, no dropout."""
+    with torch.no_grad():
+        (at_actions,) = dt.encode(History.of(windows, dt.limit.device), (ACTION,), dtype=torch.float32)
+        out: Tensor = head(at_actions)
+    return out

@@ -81,15 +81,17 @@ class StepEncoder(nn.Module):
         mask: Tensor,
         kinds: Sequence[int],
         generator: torch.Generator | None = None,
+        dtype: torch.dtype | None = None,
     ) -> tuple[Tensor, ...]:
-        """For training: M inputs (B, K, size), timesteps (B, K), mask (B, K) → (B, K, D) for each of `kinds` of token.
+        """At all steps: M inputs (B, K, size), timesteps (B, K), mask (B, K) → (B, K, D) for each of `kinds` of token.
 
-        In the precision of the config. Tokens that no head reads are none of `kinds`: the last block leaves them out.
+        Products are in `dtype`; left out it is the config's, of training. Tokens that no head reads are none of
+        `kinds`: the last block leaves them out.
         """
         tokens, seen = self._tokens(inputs, timesteps, mask)
         first = torch.arange(0, tokens.shape[1], len(inputs))  # of each step
         asked = torch.stack([first + kind for kind in kinds], dim=1).view(-1).to(tokens.device)
-        out = self.trunk(tokens, seen, generator, asked, self.dtype)
+        out = self.trunk(tokens, seen, generator, asked, dtype or self.dtype)
         return tuple(out.view(*mask.shape, len(kinds), -1).unbind(dim=2))
 
     def last(self, inputs: Sequence[Tensor], timesteps: Tensor, mask: Tensor, kind: int) -> Tensor:
@@ -126,10 +128,15 @@ class DecisionTransformer(nn.Module):
         self.register_buffer("limit", torch.from_numpy(spec.action_limit), persistent=False)
 
     def encode(
-        self, history: History, kinds: Sequence[int], generator: torch.Generator | None = None
+        self,
+        history: History,
+        kinds: Sequence[int],
+        generator: torch.Generator | None = None,
+        dtype: torch.dtype | None = None,
     ) -> tuple[Tensor, ...]:
-        """The trunk's outputs (B, K, D), one tensor for each of the `kinds` of token."""
-        out: tuple[Tensor, ...] = self.encoder(self._inputs(history), history.timesteps, history.mask, kinds, generator)
+        """The trunk's outputs (B, K, D), one tensor for each of the `kinds` of token; see `StepEncoder.forward`."""
+        inputs = self._inputs(history)
+        out: tuple[Tensor, ...] = self.encoder(inputs, history.timesteps, history.mask, kinds, generator, dtype)
         return out
 
     def actions(self, at_states: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from dynagen_bench.datasets import OfflineDataset
 from dynagen_bench.datasets.normalization import Normalization
 from dynagen_bench.datasets.windows import Windows
 from dynagen_bench.evaluation import Policy, action_space
@@ -121,6 +122,14 @@ class Agent(Trainable, Protocol):
 
 
 @runtime_checkable
+class Contextual(Agent, Protocol):
+    """Is told the dynamics by data of it, and takes no gradient steps there."""
+
+    def policy_given(self, dataset: OfflineDataset) -> Policy:
+        """A policy for the one dynamics that the data are of; privileged."""
+
+
+@runtime_checkable
 class Predictor(Trainable, Protocol):
     """Predicts the next state: one of `PREDICTORS`, and agents that can."""
 
@@ -137,3 +146,33 @@ class Phased(Protocol):
 
     def begin(self, step: int) -> None:
         """The update number `step`, counted from 0, comes next; `step` may be any, in a run that continues."""
+
+
+@runtime_checkable
+class Following(Protocol):
+    """Has parameters that move without a gradient: slow copies of others, and multipliers."""
+
+    def follow(self, values: Mapping[str, float]) -> None:
+        """An update is done; `values` are the losses and parts that it was computed from."""
+
+
+@runtime_checkable
+class ForTask(Protocol):
+    """Has a part of its own for each dynamics, and makes one for a dynamics that it has not seen."""
+
+    def for_task(self) -> Agent:
+        """A new agent of one dynamics, made of what is common to all; `loss` trains it on data of that dynamics.
+
+        This agent stays as it is. The new one acts for its dynamics.
+        """
+
+
+@runtime_checkable
+class Fitted(Protocol):
+    """Has parameters that are statistics of its training data."""
+
+    def fit(self, sampler: Any) -> None:
+        """Take them from what the sampler of the agent's config draws from, before the first step of training.
+
+        Not again in a run that continues or in fine-tuning: a checkpoint has them.
+        """

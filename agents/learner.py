@@ -8,10 +8,10 @@ import math
 import numpy as np
 import torch
 
-from agents import AGENTS
+from agents import TRAINABLE
 from agents.checkpoint import Checkpoint, package_versions
 from agents.config import TrainingConfig
-from agents.interface import Agent, Phased, RobotSpec, Sampler
+from agents.interface import Following, Phased, RobotSpec, Sampler, Trainable
 
 
 class Learner:
@@ -21,7 +21,7 @@ class Learner:
         """An untrained agent, on CUDA where it is there; the seed draws its parameters."""
         self.name, self.config, self.spec, self.seed = name, config, spec, seed
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        self.agent: Agent = AGENTS[name][1](config, spec, torch.Generator().manual_seed(seed)).to(device)
+        self.agent: Trainable = TRAINABLE[name][1](config, spec, torch.Generator().manual_seed(seed)).to(device)
         self.optimizer = torch.optim.AdamW(
             self.agent.parameters(),
             lr=config.learning_rate,
@@ -57,6 +57,8 @@ class Learner:
         for group in self.optimizer.param_groups:
             group["lr"] = self.config.learning_rate_at(self.step)
         self.optimizer.step()
+        if isinstance(self.agent, Following):
+            self.agent.follow(values)
         self.step += 1
         return values
 

@@ -1,17 +1,22 @@
 """A run's folder: what training leaves behind, and how it knows a run again.
 
-What is here: the folder's files, `RunSettings`, and the curves. Called by `train` and `submit`. It must not know
-any agent.
+What is here: the folder's files, `RunSettings`, and the curves. Called by `train`, `adapt` and `submit`. It must not
+know any agent.
 
     runs/dadt-Hopper-seed0/
       config.json             resolved config and settings, data, package versions, git commit
       curves.csv              a line every `log_every` steps; TensorBoard's events beside it in tensorboard/
       last.safetensors        the last checkpoint, from which a killed run continues
-      evaluation.json         the official result: the last checkpoint's in the test dynamics; its episodes' traces in
+      evaluation.json         the official result: the last checkpoint's in the test dynamics; `stopped_early` in it
+                              tells a run that `patience` ended before its last step; its episodes' traces in
       evaluation.safetensors  which a submission shows
       best.safetensors        the checkpoint that did best in the test dynamics during training, and its result in
       evaluation-best.json    the paper's way of reporting, never mixed with the official one; its traces beside it in
                               evaluation-best.safetensors
+      adaptation.json         the result of fine-tuning the last checkpoint for each test dynamics (`adapt`), its traces
+      adaptation.safetensors  beside it; adaptation/ holds the dynamics that are done, until all are
+      prediction.json         the last checkpoint's next-state errors in the data of the test dynamics: what a predictor
+                              has in place of evaluations, and `predict` adds for agents that can
 """
 
 import contextlib
@@ -20,7 +25,7 @@ import dataclasses
 import fcntl
 import json
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,6 +33,9 @@ from torch.utils.tensorboard.writer import SummaryWriter
 
 from dynagen_bench import ids
 from dynagen_bench.whole import whole_file
+
+_LENGTH: Final = ("steps", "patience")
+"""What may end a run earlier or later: it may continue with others."""
 
 _RECORD_ONLY: Final = ("runs", "name", "evaluate_every", "checkpoint_every", "log_every", "threads")
 """Settings that change no parameter of the agent: a run may continue with others."""
@@ -47,6 +55,12 @@ class RunSettings:
     """Of everything random in the run."""
     every: int = 1
     """Train on every n-th snapshot's data alone (made by `dynagen data build ROBOT --every n`)."""
+    quality: float = 1.0
+    """Train on this share of the episodes, those of the lowest returns; 0.3 is the paper's low-quality data."""
+    hold_out: int = 0
+    """Leave the last n train dynamics out, and measure `validation_loss` and `validation_return` in them."""
+    patience: int = 0
+    """Stop after so many evaluations without a better `validation_return`; 0 never does."""
     evaluate_every: int = 10_000
     """Steps between evaluations in the test dynamics, for the record only; 0 evaluates at the end alone."""
     checkpoint_every: int = 1_000
@@ -63,15 +77,27 @@ class RunSettings:
     def __post_init__(self) -> None:
         ids.check_robot(self.robot)
         limits = {"seed": 0, "every": 1, "evaluate_every": 0, "checkpoint_every": 1, "log_every": 1, "threads": 0}
-        for field, low in limits.items():
+        for field, low in (limits | {"hold_out": 0, "patience": 0}).items():
             if getattr(self, field) < low:
                 raise ValueError(f"{field} is {getattr(self, field)}: give a whole number from {low} on")
         if self.checkpoint_every % self.log_every:
             raise ValueError(f"checkpoint_every {self.checkpoint_every} is no multiple of log_every {self.log_every}")
+        if not 0 < self.quality <= 1:
+            raise ValueError(f"quality is {self.quality}: give a share of the episodes, above 0 and at most 1")
+        if self.hold_out >= ids.SPLIT_SIZES["train"]:
+            most = ids.SPLIT_SIZES["train"] - 1
+            raise ValueError(f"hold_out is {self.hold_out}: give at most {most} dynamics, so that some are trained on")
+        if self.patience and not (self.hold_out and self.evaluate_every):
+            raise ValueError(
+                f"patience is {self.patience}, hold_out {self.hold_out} and evaluate_every {self.evaluate_every}: give "
+                "--hold-out and --evaluate-every too, training stops by returns in held-out dynamics"
+            )
 
     def folder(self, agent: str) -> Path:
         """The run folder of an agent trained with these settings."""
         part = "" if self.every == 1 else f"-every{self.every}"
+        part += "" if self.quality == 1 else f"-quality{self.quality:g}"
+        part += "" if self.hold_out == 0 else f"-holdout{self.hold_out}"
         return self.runs / (self.name or f"{agent}-{self.robot}-seed{self.seed}{part}")
 
 
@@ -105,16 +131,53 @@ def claimed(folder: Path, description: Mapping[str, Any]) -> Iterator[None]:
         ValueError: another run has the folder, or another process is training it.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / ".lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(f"another process is training in {folder}: wait for it, or give another --name") from None
+    with locked(folder):
         path = folder / "config.json"
         if path.is_file():
             _check_same_run(path, description)
         write_json(path, description)
         yield
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Be the only process that writes in a run folder; raises ValueError if another one does."""
+    with (folder / ".lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"another process is training in {folder}: wait for it, or give another --name") from None
+        yield
+
+
+def read_finished(folder: Path, agents: Collection[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """config.json and evaluation.json of a run that training has ended, at its last step or early.
+
+    Args:
+        folder: of the run.
+        agents: names of those that act; others have no evaluation.
+
+    Raises:
+        FileNotFoundError: the folder is no run, or training has not ended it.
+        ValueError: it is of no agent, or was continued and has not come to its last step.
+    """
+    for file in ("config.json", "last.safetensors", "evaluation.json", "evaluation-best.json"):
+        if not (folder / file).is_file():
+            raise FileNotFoundError(f"{folder} is no finished run, it has no {file}: train it to the end first")
+        if file == "config.json" and (agent := read_json(folder / file)["agent"]) not in agents:
+            raise ValueError(f"{folder} is of {agent!r}, which does not act: give a run of {', '.join(agents)}")
+    config, record = read_json(folder / "config.json"), read_json(folder / "evaluation.json")
+    config["settings"] = _default_settings() | config["settings"]
+    found, wanted = record["gradient_steps"], config["config"]["steps"]
+    if found != wanted and not record.get("stopped_early"):
+        raise ValueError(f"{folder} was evaluated at step {found} of {wanted}: train it to the end first")
+    return config, record
+
+
+def _default_settings() -> dict[str, Any]:
+    """Of a run that is older than a setting, which it then has by default."""
+    fields = dataclasses.fields(RunSettings)
+    return {field.name: field.default for field in fields if field.default is not dataclasses.MISSING}
 
 
 def _check_same_run(path: Path, description: Mapping[str, Any]) -> None:
@@ -128,10 +191,10 @@ def _check_same_run(path: Path, description: Mapping[str, Any]) -> None:
 
 
 def _identity(description: Mapping[str, Any]) -> dict[str, Any]:
-    parts = {"agent": description["agent"]}
+    parts = {**_default_settings(), "agent": description["agent"]}
     for group in ("config", "settings", "data"):
-        parts |= {key: value for key, value in description[group].items() if key not in (*_RECORD_ONLY, "steps")}
-    return parts
+        parts |= description[group]
+    return {key: value for key, value in parts.items() if key not in (*_RECORD_ONLY, *_LENGTH)}
 
 
 def git_commit() -> str | None:
@@ -165,6 +228,10 @@ class Curves:
         for name, value in values.items():
             self._rows[-1][name] = f"{value:.7g}"
             self._board.add_scalar(name, value, step)
+
+    def points(self, name: str) -> list[float]:
+        """The values of one curve so far, as they are in the file: a continued run knows no others."""
+        return [float(row[name]) for row in self._rows if row.get(name)]
 
     def save(self) -> None:
         """Write what there is, whole or not at all."""

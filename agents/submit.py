@@ -9,17 +9,35 @@ import os
 import platform
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import pydantic
 import rich
 import tyro
 
 from agents import AGENTS
-from agents.run_folder import RunSettings, read_curve, read_json
+from agents.fine_tuning import AdaptationSettings
+from agents.run_folder import RunSettings, read_curve, read_finished, read_json
+from dynagen_bench import ids
 from dynagen_bench.evaluation.result import EpisodeRecord, first_error
 from dynagen_bench.evaluation.submission import CurvePoint, Run, Submission, write_submission
 from dynagen_bench.evaluation.traces import Traces, load_traces
+
+Track = Literal["zero-shot", "adaptation"]
+
+
+class FinishedRun(NamedTuple):
+    """A run as it is submitted."""
+
+    config: dict[str, Any]
+    """config.json."""
+    last: dict[str, Any]
+    """evaluation.json, of the last checkpoint."""
+    record: dict[str, Any]
+    """The result that is submitted, which may be another."""
+    traces: Traces
+    """Of that result."""
+    curve: list[CurvePoint]
 
 
 def submit(
@@ -29,6 +47,7 @@ def submit(
     name: str | None = None,
     description: str | None = None,
     checkpoint: Literal["last", "best"] = "last",
+    track: Track = "zero-shot",
     hardware: str | None = None,
     paper: str | None = None,
     code: str | None = None,
@@ -42,79 +61,78 @@ def submit(
         name: what the table calls it; the agent's name if left out.
         description: one line; the agent's own if left out. A part of the data and the number of steps are always told.
         checkpoint: `last` is official; `best` was chosen by its score in the test dynamics, as in the paper.
+        track: `adaptation` submits what `agents.adapt` found, of the last checkpoints.
         hardware: what the runs were trained on; this machine if left out.
         paper: https link.
         code: https link.
 
     Raises:
-        FileNotFoundError: a folder is no finished run.
+        FileNotFoundError: a folder is no finished run, or it has no result of that track.
         ValueError: the runs do not belong together, or a text is not what the format allows.
     """
     if not runs:
         raise ValueError("no runs given: name at least one run folder")
-    found = [_read_run(folder, checkpoint) for folder in runs]
-    configs, records = [config for config, _ in found], [record for _, record in found]
-    traces = [_traces(folder, checkpoint, record) for folder, record in zip(runs, records, strict=True)]
+    found = [_read_run(folder, checkpoint, track) for folder in runs]
+    configs, records = [run.config for run in found], [run.record for run in found]
     agent = _the_same("agent", [config["agent"] for config in configs])
     commit = _the_same("commit", [config["commit"] for config in configs])
     for robot in {config["settings"]["robot"] for config in configs}:
         _the_same(f"config for {robot}", [c["config"] for c in configs if c["settings"]["robot"] == robot])
+    _the_same("adaptation", [record.get("adaptation") for record in records])
     try:
         submission = Submission(
             format_version=2,
             agent=name or agent,
             authors=authors,
-            description=" ".join((description or _summary(agent), _training_line(configs))),
+            description=" ".join((description or _summary(agent), _training_line(found))),
             paper=paper,
             code=code,
             commit=commit if commit and not commit.endswith("-dirty") else None,
-            track="zero-shot",
+            track=track,
             checkpoint=checkpoint,
-            privileged="own-history",  # all agents see the last K steps of the episode, and no other
+            # all agents see the last K steps of the episode; who was fine-tuned has seen more
+            privileged="own-history" if track == "zero-shot" else "offline-context",
             hardware=hardware or f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
             hours=sum(record["hours"] for record in records),
             versions=_the_same("versions", [record["versions"] for record in records]),
-            commands=[_command(config) for config in configs],
-            runs=[_run(*run) for run in zip(runs, records, traces, strict=True)],
+            commands=[command for run in found for command in _commands(run)],
+            runs=[_run(run) for run in found],
         )
     except pydantic.ValidationError as error:
         raise ValueError(f"not a submission: {first_error(error)}") from error
-    return write_submission(output, submission, traces)
+    return write_submission(output, submission, [run.traces for run in found])
 
 
-def _read_run(folder: Path, checkpoint: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """config.json and the evaluation of a finished run."""
-    for file in ("config.json", "evaluation.json", "evaluation-best.json"):
-        if not (folder / file).is_file():
-            raise FileNotFoundError(f"{folder} is no finished run, it has no {file}: train it to the end first")
-    config, last = read_json(folder / "config.json"), read_json(folder / "evaluation.json")
-    if last["gradient_steps"] != config["config"]["steps"]:
-        found, wanted = last["gradient_steps"], config["config"]["steps"]
-        raise ValueError(f"{folder} was evaluated at step {found} of {wanted}: train it to the end first")
-    if checkpoint == "last":
-        return config, last
-    return config, read_json(folder / "evaluation-best.json") | {
-        "hours": last["hours"]
-    }  # found in the whole run's time
-
-
-def _traces(folder: Path, checkpoint: str, record: dict[str, Any]) -> Traces:
-    """The traces of the checkpoint's evaluation."""
+def _read_run(folder: Path, checkpoint: str, track: Track) -> FinishedRun:
+    """What a finished run has of a track."""
+    if (checkpoint, track) == ("best", "adaptation"):
+        raise ValueError("only the last checkpoint is fine-tuned: give --checkpoint last with --track adaptation")
+    config, last = read_finished(folder, AGENTS)
+    name = "adaptation" if track == "adaptation" else "evaluation" if checkpoint == "last" else "evaluation-best"
+    if not (folder / f"{name}.json").is_file():
+        raise FileNotFoundError(f"{folder} has no {name}.json: make it with `python -m agents.adapt {folder}`")
+    record = read_json(folder / f"{name}.json")
+    if record.get("trained_steps", last["gradient_steps"]) != last["gradient_steps"]:
+        at, now = record["trained_steps"], last["gradient_steps"]
+        raise ValueError(f"{folder} was adapted at step {at} and trained to {now} since: adapt it again")
+    if checkpoint == "best":  # found in the whole run's time
+        record["hours"] = last["hours"]
     evaluation = EpisodeRecord.model_validate(record["evaluation"]).evaluation()
-    name = "evaluation.safetensors" if checkpoint == "last" else "evaluation-best.safetensors"
-    return load_traces(folder / name, evaluation.robot, evaluation.lengths)
+    traces = load_traces(folder / f"{name}.safetensors", evaluation.robot, evaluation.lengths)
+    points = [] if track == "adaptation" else read_curve(folder, "test_return")  # it is of agents without fine-tuning
+    curve = [CurvePoint(gradient_steps=step, mean_return=value) for step, value in points]
+    return FinishedRun(config, last, record, traces, curve)
 
 
-def _run(folder: Path, record: dict[str, Any], traces: Traces) -> Run:
-    evaluation = EpisodeRecord.model_validate(record["evaluation"])
-    curve = [CurvePoint(gradient_steps=step, mean_return=value) for step, value in read_curve(folder, "test_return")]
+def _run(run: FinishedRun) -> Run:
+    evaluation = EpisodeRecord.model_validate(run.record["evaluation"])
     return Run(
         robot=evaluation.robot,
-        seed=record["seed"],
-        gradient_steps=record["gradient_steps"],
+        seed=run.record["seed"],
+        gradient_steps=run.record["gradient_steps"],
         evaluation=evaluation,
-        trace=traces.sha256,
-        curve=curve,
+        trace=run.traces.sha256,
+        curve=run.curve,
     )
 
 
@@ -130,24 +148,51 @@ def _summary(agent: str) -> str:
     return (sys.modules[AGENTS[agent][1].__module__].__doc__ or agent).split("\n")[0]
 
 
-def _training_line(configs: list[dict[str, Any]]) -> str:
+def _training_line(runs: list[FinishedRun]) -> str:
     """How the runs were trained, where it differs from the paper's way."""
-    steps = sorted({config["config"]["steps"] for config in configs})
+    settings = [run.config["settings"] for run in runs]
+    steps = sorted({run.last["gradient_steps"] for run in runs})
     line = f"Trained for {' or '.join(f'{count:,}' for count in steps)} gradient steps"
-    for every in sorted({config["settings"]["every"] for config in configs} - {1}):
+    for every in sorted({one["every"] for one in settings} - {1}):
         line += f", on a part of the data alone (one in {every} snapshots)"
+    for quality in sorted({one["quality"] for one in settings} - {1}):
+        line += f", on the {100 * quality:g}% of the episodes with the lowest returns"
+    for count in sorted({one["hold_out"] for one in settings} - {0}):
+        line += f", {count} of the {ids.SPLIT_SIZES['train']} train dynamics held out"
+    for patience in sorted({run.config["settings"]["patience"] for run in runs if run.last.get("stopped_early")}):
+        line += f", stopped early after {patience} evaluations without a better return in those"
+    for adaptation in [run.record["adaptation"] for run in runs if "adaptation" in run.record][:1]:
+        line += (
+            f", then fine-tuned for {adaptation['steps']:,} on {adaptation['episodes']} episodes of each test dynamics"
+        )
     return line + "."
 
 
-def _command(config: dict[str, Any]) -> str:
-    """The command that trains a run again: what differs from the defaults, and the precision, which is a machine's."""
-    agent, settings = config["agent"], config["settings"]
-    defaults = dataclasses.asdict(RunSettings(settings["robot"]))
-    changed = {key: settings[key] for key in ("seed", "every") if settings[key] != defaults[key]}
+def _commands(run: FinishedRun) -> list[str]:
+    """The commands that make a run's result again: what differs from the defaults, and a machine's precision."""
+    agent, settings = run.config["agent"], run.config["settings"]
+    defaults = RunSettings(settings["robot"])
+    wanted = ("seed", "every", "quality", "hold_out", "patience")
+    changed = _changed({key: settings[key] for key in wanted}, dataclasses.asdict(defaults))
+    if "patience" in changed:  # when it looks decides where it stops
+        changed["evaluate_every"] = settings["evaluate_every"]
     usual = dataclasses.asdict(AGENTS[agent][0]().for_robot(settings["robot"])) | {"precision": None}
-    changed |= {key: value for key, value in config["config"].items() if value != usual.get(key)}
-    words = (f"--{key.replace('_', '-')} {value}" for key, value in changed.items())
-    return " ".join([f"python -m agents.train {agent} --robot {settings['robot']}", *words])
+    options = _options(changed | _changed(run.config["config"], usual))
+    commands = [" ".join([f"python -m agents.train {agent} --robot {settings['robot']}", *options])]
+    if "adaptation" in run.record:
+        named = ("seed", "every", "quality", "hold_out")
+        folder = dataclasses.replace(defaults, **{key: settings[key] for key in named}).folder(agent)
+        options = _options(_changed(run.record["adaptation"], dataclasses.asdict(AdaptationSettings())))
+        commands.append(" ".join([f"python -m agents.adapt {folder.as_posix()}", *options]))
+    return commands
+
+
+def _changed(values: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if value != defaults.get(key)}
+
+
+def _options(values: dict[str, Any]) -> list[str]:
+    return [f"--{key.replace('_', '-')} {value}" for key, value in values.items()]
 
 
 def main(arguments: list[str] | None = None) -> None:

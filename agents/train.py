@@ -1,7 +1,7 @@
 """The one training loop: `python -m agents.train dadt --robot Hopper --steps 20000 --seed 0`.
 
 What is here: from a config to a run folder with curves, checkpoints and the official evaluation. Called from the
-command line and by the demo. It must not know any agent by name: `AGENTS` has them.
+command line and by the demo. It must not know any agent by name: `TRAINABLE` has them.
 
 A run is a function of (agent, config, seed, data). The randomness of a step is drawn from (seed, step) alone, so that a
 run that was killed continues from its last checkpoint with the parameters of one that was not: give the same command
@@ -9,34 +9,56 @@ again.
 """
 
 import dataclasses
+import shlex
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 import rich
-import rich.progress
 import torch
 import tyro
 
-from agents import AGENTS
+from agents import TRAINABLE
 from agents.checkpoint import load_checkpoint, package_versions, save_checkpoint
 from agents.config import TrainingConfig
 from agents.interface import RobotSpec, Sampler
 from agents.learner import Learner
-from agents.run_folder import Curves, RunSettings, claimed, git_commit, read_json, write_json
+from agents.prediction import PREDICTION
+from agents.recording import Record, progress_bar, recorder, score_if_known
+from agents.run_folder import Curves, RunSettings, claimed, git_commit, read_json
+from agents.validation import Validation, check_patience, has_stalled, set_apart
 from dynagen_bench.datasets import OfflineDataset, load_dataset
-from dynagen_bench.evaluation import Evaluation, evaluate
-from dynagen_bench.evaluation.traces import save_traces
+from dynagen_bench.evaluation import Evaluation
+
+Parsed: TypeAlias = tuple[str, TrainingConfig, RunSettings]
+"""An agent's name, its config and the settings of a run."""
 
 
-def train(name: str, config: TrainingConfig, settings: RunSettings, dataset: OfflineDataset) -> Path:
+def train(
+    name: str,
+    config: TrainingConfig,
+    settings: RunSettings,
+    dataset: OfflineDataset,
+    *,
+    report: Callable[[int], None] = lambda step: None,
+    command: str | None = None,
+) -> Path:
     """Train an agent, or go on with its run, and evaluate it; returns the run folder.
 
+    Args:
+        name: of the agent.
+        config: the agent's.
+        settings: what is trained on and recorded.
+        dataset: the train data of the settings' robot.
+        report: called after each step with the number of steps done.
+        command: the command line that asks for this, kept in config.json.
+
     Raises:
-        ValueError: the data are not training data of the robot or not all finite, or the run folder is of another run.
+        ValueError: the data are not training data of the robot or not all finite, the run folder is of another run, or
+            the settings do not suit the agent or the data.
         OSError: the disk is full; the checkpoint before is kept.
         FloatingPointError: the loss is no number any more; the message names the step, and the last checkpoint stays.
     """
@@ -45,8 +67,9 @@ def train(name: str, config: TrainingConfig, settings: RunSettings, dataset: Off
             f"the data are {dataset.robot} {dataset.split!r}: train on load_dataset({settings.robot!r}, 'train')"
         )
     config = config.for_robot(settings.robot)
+    dataset, held = set_apart(dataset, settings.hold_out)
     folder = settings.folder(name)
-    with claimed(folder, describe(name, config, settings, dataset)):
+    with claimed(folder, describe(name, config, settings, dataset) | {"command": command}):
         check_finite(dataset)
         normalization = dataset.normalization()
         learner = Learner(name, config, RobotSpec.of_robot(settings.robot, normalization), settings.seed)
@@ -55,45 +78,65 @@ def train(name: str, config: TrainingConfig, settings: RunSettings, dataset: Off
             learner.restore(load_checkpoint(last, agent=name, robot=settings.robot))
         if learner.step > config.steps:
             raise ValueError(f"{folder} is at step {learner.step} already: give --steps {learner.step} or more")
+        check_patience(name, learner.agent, settings.patience)
         sampler = config.sampler(dataset, normalization)
+        validation = None if held is None else Validation(held, settings.hold_out, config, learner.spec)
+        record, result = recorder(learner, settings, folder)
         curves = Curves(folder, learner.step)
         try:
-            _run(learner, sampler, settings, folder, curves)
-            if not (folder / "evaluation.json").is_file():  # deleted, after the run was complete
-                record_evaluation(learner, folder, official=True)
+            _run(learner, sampler, validation, settings, folder, curves, record, report)
+            if not result.is_file():  # deleted, after the run was complete
+                record(official=True)
         finally:
             curves.close()
     return folder
 
 
-def _run(learner: Learner, sampler: Sampler, settings: RunSettings, folder: Path, curves: Curves) -> None:
+def _run(
+    learner: Learner,
+    sampler: Sampler,
+    validation: Validation | None,
+    settings: RunSettings,
+    folder: Path,
+    curves: Curves,
+    record: Record,
+    report: Callable[[int], None],
+) -> None:
     """Train to the last step: after each, what is due of a line of the curves, an evaluation and a checkpoint."""
     steps, recent = learner.config.steps, list[dict[str, float]]()
     before, started = learner.seconds, time.monotonic()
-    with rich.progress.Progress(
-        "{task.description}",
-        rich.progress.BarColumn(),
-        rich.progress.MofNCompleteColumn(),
-        rich.progress.TimeRemainingColumn(),
-        "{task.fields[note]}",
-    ) as bars:
+    done = learner.step == steps or has_stalled(curves.points("validation_return"), settings.patience)
+    if not done:
+        for result in ("evaluation.json", PREDICTION):
+            (folder / result).unlink(missing_ok=True)  # of a checkpoint that is not the last one any more
+    with progress_bar() as bars:
         bar = bars.add_task(folder.name, total=steps, completed=learner.step, note="")
-        while learner.step < steps:
+        while not done:
             recent.append(learner.update(sampler))
             learner.seconds = before + time.monotonic() - started
             step, done = learner.step, learner.step == steps
+            report(step)
             if done or step % settings.log_every == 0:
-                means = {key: float(np.mean([values[key] for values in recent])) for key in recent[0]}
+                means = mean_of_each(recent)
                 rate = learner.config.learning_rate_at(step - 1)
                 curves.add(step, {**means, "learning_rate": rate, "seconds": learner.seconds})
                 recent.clear()
                 bars.update(bar, completed=step, note=f"loss {means['loss']:.4f}")
             if done or (settings.evaluate_every and step % settings.evaluate_every == 0):
                 bars.update(bar, note="evaluating")
-                curves.add(step, record_evaluation(learner, folder, official=done))
+                if validation is not None:
+                    curves.add(step, validation.measure(learner.agent))
+                done = done or has_stalled(curves.points("validation_return"), settings.patience)
+                curves.add(step, record(official=done))
             if done or step % settings.checkpoint_every == 0:
                 curves.save()
                 save_checkpoint(folder / "last.safetensors", learner.checkpoint())
+
+
+def mean_of_each(lines: list[dict[str, float]]) -> dict[str, float]:
+    """The mean of each number, over the lines that have it: an agent in phases has others in another phase."""
+    names = dict.fromkeys(name for line in lines for name in line)
+    return {name: float(np.mean([line[name] for line in lines if name in line])) for name in names}
 
 
 def check_finite(dataset: OfflineDataset) -> None:
@@ -110,45 +153,12 @@ def check_finite(dataset: OfflineDataset) -> None:
                 )
 
 
-def record_evaluation(learner: Learner, folder: Path, official: bool) -> dict[str, float]:
-    """Evaluate in the test dynamics, keep it if it is the best so far or official, and return what the curves show."""
-    evaluation = evaluate(learner.agent.policy(), learner.spec.robot, split="test")
-    traces = evaluation.traces
-    assert traces is not None, "evaluate records traces unless told not to"
-    record = {
-        "agent": learner.name,
-        "seed": learner.seed,
-        "gradient_steps": learner.step,
-        "hours": learner.seconds / 3600,
-        "versions": package_versions(),
-        "evaluation": evaluation.to_json(),
-    }
-    mean_return = float(evaluation.returns.mean())  # orders as the score does, and needs no reference scores
-    best = folder / "evaluation-best.json"
-    if not best.is_file() or mean_return > Evaluation.from_json(read_json(best)["evaluation"]).returns.mean():
-        save_traces(best.with_suffix(".safetensors"), traces)
-        save_checkpoint(folder / "best.safetensors", dataclasses.replace(learner.checkpoint(), optimizer={}))
-        write_json(best, record)
-    if official:
-        save_traces(folder / "evaluation.safetensors", traces)
-        write_json(folder / "evaluation.json", record)
-    return {"test_return": mean_return, **score_if_known(evaluation)}
-
-
-def score_if_known(evaluation: Evaluation) -> dict[str, float]:
-    """The official score as `test_score`; nothing for a robot whose reference scores are not made yet."""
-    try:
-        return {"test_score": evaluation.score}
-    except ValueError:
-        return {}
-
-
 def describe(name: str, config: TrainingConfig, settings: RunSettings, dataset: OfflineDataset) -> dict[str, Any]:
     """What config.json says of a run."""
     return {
         "agent": name,
         "config": dataclasses.asdict(config),
-        "settings": {**dataclasses.asdict(settings), "runs": str(settings.runs)},
+        "settings": {key: value for key, value in dataclasses.asdict(settings).items() if key != "runs"},
         "data": {"episodes": len(dataset.episode_lengths), "data_steps": dataset.num_steps},
         "versions": package_versions(),
         "commit": git_commit(),
@@ -158,31 +168,59 @@ def describe(name: str, config: TrainingConfig, settings: RunSettings, dataset: 
 def _command(name: str, config_class: type[TrainingConfig]) -> Any:
     """The subcommand of one agent: the run's settings and the config's fields, side by side."""
 
-    def command(settings: RunSettings, config: TrainingConfig) -> None:
-        if settings.threads:
-            torch.set_num_threads(settings.threads)
-        dataset = load_dataset(settings.robot, "train", every=settings.every)
-        folder = train(name, config, settings, dataset)
-        record = read_json(folder / "evaluation.json")
-        evaluation = Evaluation.from_json(record["evaluation"])
-        score = "".join(f", score {value:.2f}" for value in score_if_known(evaluation).values())
-        rich.print(f"{folder}: mean return {evaluation.returns.mean():.1f} in the test dynamics{score}")
+    def command(settings: RunSettings, config: TrainingConfig) -> Parsed:
+        return name, config, settings
 
     flat = tyro.conf.arg(name="")
     command.__annotations__ = {
         "settings": Annotated[RunSettings, flat],
         "config": Annotated[config_class, flat],
-        "return": None,
+        "return": Parsed,
     }
     command.__doc__ = (sys.modules[config_class.__module__].__doc__ or "").split("\n\n")[0]
     return command
 
 
+def parse(arguments: Sequence[str]) -> Parsed:
+    """The agent's name, its config and the settings that a command line asks for.
+
+    Raises:
+        ValueError: a config or settings that make no sense.
+        SystemExit: what is no command line of this program, which is told on the error stream, or asks for help.
+    """
+    commands: Mapping[str, Any] = {name: _command(name, config_class) for name, (config_class, _) in TRAINABLE.items()}
+    parsed: Parsed = tyro.extras.subcommand_cli_from_dict(
+        dict(commands), prog="python -m agents.train", args=arguments, description=__doc__
+    )
+    return parsed
+
+
+def run(parsed: Parsed, command: str, report: Callable[[int], None] = lambda step: None) -> Path:
+    """Load the data and train what `parse` has read; returns the run folder. Raises what `train` does."""
+    name, config, settings = parsed
+    if settings.threads:
+        torch.set_num_threads(settings.threads)
+    dataset = load_dataset(settings.robot, "train", every=settings.every, quality=settings.quality)
+    return train(name, config, settings, dataset, report=report, command=command)
+
+
+def _say(folder: Path) -> None:
+    """Print a finished run's result."""
+    if not (folder / "evaluation.json").is_file():  # it predicts
+        error = read_json(folder / PREDICTION)["prediction"]["mean"]
+        rich.print(f"{folder}: mean square error {error:.5f} of the next states in the test dynamics")
+        return
+    record = read_json(folder / "evaluation.json")
+    evaluation = Evaluation.from_json(record["evaluation"])
+    score = "".join(f", score {value:.2f}" for value in score_if_known(evaluation).values())
+    rich.print(f"{folder}: mean return {evaluation.returns.mean():.1f} in the test dynamics{score}")
+
+
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
-    commands: Mapping[str, Any] = {name: _command(name, config_class) for name, (config_class, _) in AGENTS.items()}
+    given = sys.argv[1:] if arguments is None else arguments
     try:
-        tyro.extras.subcommand_cli_from_dict(dict(commands), args=arguments, description=__doc__)
+        _say(run(parse(given), f"python -m agents.train {shlex.join(given)}"))
     except (ValueError, OSError, FloatingPointError) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:

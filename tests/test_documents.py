@@ -17,14 +17,26 @@ SMALLER = {
     "make ": f"make --directory {ROOT} --dry-run ",
     "dynagen data build Hopper": "dynagen data build Hopper --every 20",
     "--steps 20000": "--steps 2 --batch-size 4 --embedding 8",
+    "agents.adapt runs/dadt-Hopper-seed0": "agents.adapt runs/dadt-Hopper-seed0 --steps 1 --episodes 2",
     "leaderboard submit my-entry": "leaderboard submit my-entry --board board",
+    "STEPS = 5_000": "STEPS = 5",
+    "steps=2_000,": "steps=4, batch_size=4, layers=1, embedding=8,",
+    "evaluate_every=500": "evaluate_every=2, checkpoint_every=2, log_every=2",
+    "AdaptationSettings(steps=200)": "AdaptationSettings(steps=1, episodes=2)",
 }
-"""What a test changes in a shell command before it runs it: its size and its place, not what it does."""
+"""What a test changes in a block before it runs it: its size and its place, not what it does."""
 
 
 def blocks(document: Path, language: str) -> list[str]:
     """The code blocks of one language in a document, in order."""
     return [code for found, code in BLOCK.findall(document.read_text(encoding="utf-8")) if found == language]
+
+
+def smaller(code: str) -> str:
+    """A block as it is run here."""
+    for full, small in SMALLER.items():
+        code = code.replace(full, small)
+    return code
 
 
 def test_every_block_is_of_a_language_that_is_run():
@@ -38,7 +50,7 @@ def test_python_blocks_run(document, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {}
     for code in blocks(document, "python"):
-        exec(compile(code, str(document), "exec"), namespace)
+        exec(compile(smaller(code), str(document), "exec"), namespace)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda document: document.name)
@@ -47,11 +59,8 @@ def test_shell_blocks_run(document, tmp_path, tiny_dataset_root):
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(tmp_path / "data")}
     for code in blocks(document, "bash"):
-        for full, small in SMALLER.items():
-            code = code.replace(full, small)
-        done = subprocess.run(
-            ["bash", "-euo", "pipefail", "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
-        )
+        command = ["bash", "-euo", "pipefail", "-c", smaller(code)]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, f"{code}\n{done.stdout}\n{done.stderr}"
 
 

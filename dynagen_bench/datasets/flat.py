@@ -190,28 +190,35 @@ def load_dataset(
 
 
 def load_adaptation(
-    robot: str, index: int, *, episodes: int = ADAPTATION_EPISODES, every: int = 1, progress: bool = True
+    robot: str,
+    index: int,
+    *,
+    split: str = "test",
+    episodes: int = ADAPTATION_EPISODES,
+    every: int = 1,
+    progress: bool = True,
 ) -> OfflineDataset:
     """Load the adaptation set of one test dynamics: the few episodes that an agent may be fine-tuned on for it.
 
     Always the same ones, spread over the returns of that dynamics' data (`subsets.spread_episodes`). Normalise them as
-    the agent was trained, by its train data. The test data of the robot have to be there, all five.
+    the agent was trained, by its train data. The data of the robot's whole split have to be there.
 
     Args:
         robot: one of `ids.ROBOTS`.
-        index: number of the test dynamics.
+        index: number of the dynamics in the split.
+        split: `test`; or `train` for the same of train dynamics, by which fine-tuning is chosen without the test ones.
         episodes: how many.
         every: of the part of the data that has every n-th snapshot alone.
         progress: show a progress bar on the error stream while arrays are made.
 
     Raises:
-        ValueError: an unknown robot or index, more episodes than there are, or data that are damaged.
+        ValueError: an unknown robot, split or index, more episodes than there are, or data that are damaged.
         FileNotFoundError: a dataset is missing; the message has the command that makes it.
     """
-    ids.make_id(robot, "test", index)
-    test = load_dataset(robot, "test", every=every, progress=progress)
-    numbers = np.flatnonzero(test.episode_dynamics == index)
-    return test.select(numbers[spread_episodes(test.episode_returns[numbers], episodes)])
+    ids.make_id(robot, split, index)
+    data = load_dataset(robot, split, every=every, progress=progress)
+    numbers = np.flatnonzero(data.episode_dynamics == index)
+    return data.select(numbers[spread_episodes(data.episode_returns[numbers], episodes)])
 
 
 def _chosen(robot: str, split: str, indices: Sequence[int] | None) -> list[ids.DynamicsId]:

@@ -1,14 +1,20 @@
-"""Settings of the agents' tests: one thread, and every test once for each agent."""
+"""Settings of the agents' tests: one thread, and the contract's tests once for each sequence agent."""
 
 import pytest
 import torch
 
-from agents import AGENTS
+from tests.agents.samples import SEQUENCE_AGENTS, stages
 
 torch.set_num_threads(1)
 
 
-@pytest.fixture(params=AGENTS)
+@pytest.fixture(params=SEQUENCE_AGENTS)
 def name(request) -> str:
-    """An agent's name."""
+    """Name of an agent that is trained on windows."""
+    return request.param
+
+
+@pytest.fixture(params=stages(), ids=lambda stage: f"{stage[0]}-step{stage[1]}")
+def stage(request) -> tuple[str, int]:
+    """An agent's name and a step, in each of the phases that it learns in."""
     return request.param

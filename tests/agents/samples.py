@@ -4,9 +4,12 @@ import numpy as np
 import torch
 
 from agents import AGENTS
-from agents.config import TransformerConfig
-from agents.interface import Agent, RobotSpec
+from agents.config import TrainingConfig, TransformerConfig
+from agents.interface import Agent, Phased, RobotSpec
 from dynagen_bench.datasets import Normalization, OfflineDataset, Windows, WindowSampler
+
+SEQUENCE_AGENTS = [name for name, (config, _) in AGENTS.items() if config.sampler is TrainingConfig.sampler]
+"""Those that are trained on windows as they are."""
 
 S, A, K = 11, 3, 5  # Hopper's state and action sizes, and a short context
 
@@ -22,8 +25,18 @@ def hopper_spec() -> RobotSpec:
     return RobotSpec("Hopper", np.ones(A, np.float32), Normalization(np.zeros(S, np.float32), np.ones(S, np.float32)))
 
 
-def new_agent(name: str, seed: int = 0, **changes) -> Agent:
-    return AGENTS[name][1](tiny_config(name, **changes), hopper_spec(), torch.Generator().manual_seed(seed))
+def new_agent(name: str, seed: int = 0, step: int = 0, **changes) -> Agent:
+    """An untrained agent; one that learns in phases is in that of `step`."""
+    agent = AGENTS[name][1](tiny_config(name, **changes), hopper_spec(), torch.Generator().manual_seed(seed))
+    if isinstance(agent, Phased):
+        agent.begin(step)
+    return agent
+
+
+def stages() -> list[tuple[str, int]]:
+    """Every sequence agent at its first step, and those that learn in phases at their last one too."""
+    firsts = [(name, 0) for name in SEQUENCE_AGENTS]
+    return firsts + [(name, tiny_config(name).steps - 1) for name, _ in firsts if isinstance(new_agent(name), Phased)]
 
 
 def flat_dataset(observations, actions, rewards, split: str = "train", robot: str = "Hopper") -> OfflineDataset:

@@ -1,4 +1,4 @@
-"""What every agent has to do, once for each of `AGENTS`."""
+"""What every sequence agent has to do, once for each that is trained on windows."""
 
 import dataclasses
 
@@ -21,15 +21,17 @@ from tests.agents.samples import (
     new_agent,
     random_dataset,
     random_windows,
+    stages,
     tiny_config,
 )
 
 
 def gradients(agent, windows):
+    """The loss, and the gradients of the parameters that it reaches by name."""
     agent.zero_grad()
     loss, _ = agent.loss(windows, None)
     loss.backward()
-    return loss.detach(), [parameter.grad.clone() for parameter in agent.parameters()]
+    return loss.detach(), {key: value.grad for key, value in agent.named_parameters() if value.grad is not None}
 
 
 def trunk_outputs(agent, windows):
@@ -55,27 +57,33 @@ def changed(windows, where, seed=1):
     return windows._replace(timesteps=np.where(where, rng.integers(200, size=where.shape), windows.timesteps), **new)
 
 
-def test_loss_ignores_padded_steps(name):
-    agent, windows = new_agent(name), random_windows()
+def test_the_phases_losses_together_reach_every_parameter(name):
+    reached = [gradients(new_agent(name, step=step), random_windows())[1].keys() for n, step in stages() if n == name]
+    assert set.union(*map(set, reached)) == {key for key, _ in new_agent(name).named_parameters()}
+
+
+def test_loss_ignores_padded_steps(stage):
+    agent, windows = new_agent(stage[0], step=stage[1]), random_windows()
     assert not windows.mask.all()
     loss, grads = gradients(agent, windows)
     other_loss, other_grads = gradients(agent, changed(windows, ~windows.mask))
     assert torch.equal(loss, other_loss)
     # a padded step's token has no gradient of its own; its row in a sum may only change the sum's order
-    for grad, other in zip(grads, other_grads, strict=True):
-        torch.testing.assert_close(grad, other, rtol=1e-5, atol=1e-7)
+    assert grads.keys() == other_grads.keys()
+    for key, grad in grads.items():
+        torch.testing.assert_close(grad, other_grads[key], rtol=1e-5, atol=1e-7)
 
 
-def test_loss_is_the_mean_over_valid_steps_alone(name):
-    agent, windows = new_agent(name), random_windows()
+def test_loss_is_the_mean_over_valid_steps_alone(stage):
+    agent, windows = new_agent(stage[0], step=stage[1]), random_windows()
     alone = [agent.loss(type(windows)(*(x[i : i + 1] for x in windows)), None)[0].item() for i in range(8)]
     whole = agent.loss(windows, None)[0].item()
     assert whole == pytest.approx(np.average(alone, weights=windows.mask.sum(axis=1)), rel=1e-5)
 
 
 @pytest.mark.parametrize("step", range(K - 1))
-def test_changing_the_future_changes_no_earlier_output(name, step):
-    agent, windows = new_agent(name), random_windows()
+def test_changing_the_future_changes_no_earlier_output(stage, step):
+    agent, windows = new_agent(stage[0], step=stage[1]), random_windows()
     future = np.zeros((8, K), dtype=bool)
     future[:, step + 1 :] = True
     before, after = trunk_outputs(agent, windows), trunk_outputs(agent, changed(windows, future))
@@ -169,10 +177,10 @@ def test_actions_stay_in_the_action_space(name):
     assert (np.abs(actions).max(axis=0) > 0.9 * limit).all()
 
 
-def test_wrong_shapes_are_refused_by_the_loss(name):
+def test_wrong_shapes_are_refused_by_the_loss(stage):
     windows = random_windows()
     with pytest.raises(AssertionError):
-        new_agent(name).loss(windows._replace(observations=windows.observations[..., :-1]), None)
+        new_agent(stage[0], step=stage[1]).loss(windows._replace(observations=windows.observations[..., :-1]), None)
 
 
 def copying_data(gains, rng):
@@ -188,7 +196,8 @@ def test_solves_a_one_dimensional_copying_task(name):
     # who imitates a wanted return is shown bad episodes too, and told by the return which is which
     dataset = copying_data([0.8, -0.8] * 50 if conditioned else [0.8] * 100, rng)
     wanted = {"target_return": 10.0, "return_scale": 10.0} if conditioned else {}
-    config = tiny_config(name, learning_rate=3e-3, batch_size=32, dropout=0.0, **wanted)
+    # who learns in phases has the first half of the steps for actions
+    config = tiny_config(name, steps=1000, learning_rate=3e-3, batch_size=32, dropout=0.0, **wanted)
     spec = RobotSpec("Hopper", np.ones(1, np.float32), Normalization(np.zeros(1, np.float32), np.ones(1, np.float32)))
     learner = Learner(name, config, spec, seed=0)
     sampler = WindowSampler(dataset, config.context, spec.normalization)
@@ -202,10 +211,10 @@ def test_solves_a_one_dimensional_copying_task(name):
 
 
 def loss_curve(name, precision, steps=160):
-    """Mean losses of 40 steps each, on copying data with dropout."""
+    """Mean losses of 40 steps each, on copying data with dropout; of the first phase, where there are two."""
     dataset = copying_data([0.8] * 50, np.random.default_rng(0))
     spec = RobotSpec("Hopper", np.ones(1, np.float32), Normalization(np.zeros(1, np.float32), np.ones(1, np.float32)))
-    config = tiny_config(name, embedding=32, batch_size=32, precision=precision)
+    config = tiny_config(name, steps=2 * steps, embedding=32, batch_size=32, precision=precision)
     learner = Learner(name, config, spec, seed=0)
     sampler = WindowSampler(dataset, config.context, spec.normalization)
     losses = [learner.update(sampler)["loss"] for _ in range(steps)]

@@ -1,10 +1,13 @@
 """Runs to a submission."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 
+from agents.adapt import adapt
+from agents.fine_tuning import AdaptationSettings
 from agents.run_folder import RunSettings
 from agents.submit import main, submit
 from agents.train import train
@@ -14,11 +17,12 @@ from leaderboard.verify import verify
 from tests.agents.samples import random_dataset, tiny_config
 
 
-def run(tmp_path, name="dadt", seed=0, steps=2, **changes):
+def run(tmp_path, name="dadt", seed=0, steps=2, options=None, **changes):
     settings = RunSettings(
         "Hopper", seed=seed, runs=tmp_path, evaluate_every=1, checkpoint_every=1, log_every=1, **changes
     )
-    return train(name, tiny_config(name, steps=steps), settings, random_dataset())
+    dataset = dataclasses.replace(random_dataset(), episode_dynamics=np.array([0, 1, 19]))
+    return train(name, tiny_config(name, steps=steps, **(options or {})), settings, dataset)
 
 
 def test_runs_become_a_submission_that_the_leaderboard_reads(tmp_path):
@@ -70,3 +74,63 @@ def test_what_does_not_belong_together_is_refused_in_one_line(tmp_path):
             submit(runs, tmp_path / "out", authors)
         assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_what_was_fine_tuned_is_a_submission_of_the_other_track(tmp_path, tiny_data):
+    folder = run(tmp_path, every=1, seed=1)
+    with pytest.raises(FileNotFoundError, match=r"has no adaptation.json: make it with `python -m agents.adapt"):
+        submit([folder], tmp_path / "out", ["A. Name"], track="adaptation")
+    adapt(folder, AdaptationSettings(steps=3, episodes=4, learning_rate=0.01))
+    with pytest.raises(ValueError, match="only the last checkpoint is fine-tuned: give --checkpoint last"):
+        submit([folder], tmp_path / "out", ["A. Name"], track="adaptation", checkpoint="best")
+    options = [str(folder), "--output", str(tmp_path / "out"), "--authors", "A. Name", "--track", "adaptation"]
+    main(options)
+    found = read_submission(tmp_path / "out")
+    assert (found.track, found.checkpoint, found.privileged) == ("adaptation", "last", "offline-context")
+    assert "2 gradient steps, then fine-tuned for 3 on 4 episodes of each test dynamics." in found.description
+    record = json.loads((folder / "adaptation.json").read_text())
+    assert (found.runs[0].gradient_steps, found.hours) == (5, record["hours"])
+    assert found.runs[0].evaluation.returns == record["evaluation"]["returns"]
+    assert found.runs[0].curve == []
+    assert found.commands[0].startswith("python -m agents.train dadt --robot Hopper --seed 1 --context 5 ")
+    expected = "python -m agents.adapt runs/dadt-Hopper-seed1 --steps 3 --learning-rate 0.01 --episodes 4"
+    assert found.commands[1:] == [expected]
+    assert [check.label for check in verify(tmp_path / "out", found)] == ["replayed"]
+
+    run(tmp_path, seed=1, steps=3)  # the same run, continued
+    with pytest.raises(ValueError, match="was adapted at step 2 and trained to 3 since: adapt it again"):
+        submit([folder], tmp_path / "out", ["A. Name"], track="adaptation")
+
+
+def test_a_part_of_the_data_and_an_early_stop_are_told(tmp_path):
+    # of learning rate 0 no return is better than the first, and of patience 2 the third step is the last one
+    folder = run(tmp_path, steps=9, quality=0.3, hold_out=1, patience=2, options={"learning_rate": 0.0})
+    assert folder.name == "dadt-Hopper-seed0-quality0.3-holdout1"
+    submit([folder], tmp_path / "out", ["A. Name"])
+    found = read_submission(tmp_path / "out")
+    assert found.runs[0].gradient_steps == 3
+    said = (
+        "Trained for 3 gradient steps, on the 30% of the episodes with the lowest returns, 1 of the 20 train dynamics"
+    )
+    said += " held out, stopped early after 2 evaluations without a better return in those."
+    assert said in found.description
+    assert "--quality 0.3 --hold-out 1 --patience 2 --evaluate-every 1 " in found.commands[0]
+    assert " --steps 9" in found.commands[0]
+
+
+def test_a_run_that_is_older_than_some_settings_has_their_defaults(tmp_path):
+    folder = run(tmp_path)
+    config = json.loads((folder / "config.json").read_text())
+    for setting in ("quality", "hold_out", "patience"):
+        del config["settings"][setting]
+    (folder / "config.json").write_text(json.dumps(config))
+    submit([folder], tmp_path / "out", ["A. Name"])
+    assert run(tmp_path, steps=3) == folder  # and may go on
+
+
+def test_a_run_of_a_predictor_is_refused(tmp_path):
+    folder = run(tmp_path)
+    config = json.loads((folder / "config.json").read_text()) | {"agent": "mlp"}
+    (folder / "config.json").write_text(json.dumps(config))
+    with pytest.raises(ValueError, match="is of 'mlp', which does not act: give a run of dadt, "):
+        submit([folder], tmp_path / "out", ["A. Name"])

@@ -99,6 +99,16 @@ def test_more_steps_continue_a_finished_run_and_fewer_are_refused(tmp_path):
         train("dt", tiny_config("dt", steps=6), settings(tmp_path / "more"), random_dataset())
 
 
+def test_low_quality_data_are_the_worst_episodes_of_all(tiny_data, tmp_path):
+    main(["dt", "--robot", "Hopper", "--steps", "2", "--quality", "0.3", *TINY_FLAGS.split(), "--runs", str(tmp_path)])
+    folder = tmp_path / "dt-Hopper-seed0-quality0.3"
+    dataset = load_dataset("Hopper", quality=0.3)
+    data = json.loads((folder / "config.json").read_text())["data"]
+    assert data == {"episodes": 48, "data_steps": dataset.num_steps}  # of 20 · 8
+    found = load_checkpoint(folder / "last.safetensors").spec.normalization
+    assert np.array_equal(found.mean, dataset.normalization().mean)
+
+
 @pytest.mark.slow
 def test_a_killed_process_continues(tiny_data, tmp_path):
     arguments = ["dadt", "--robot", "Hopper", "--steps", "200", "--checkpoint-every", "20", "--log-every", "10"]

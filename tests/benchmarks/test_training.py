@@ -18,6 +18,7 @@ from agents.interface import RobotSpec
 from agents.learner import Learner
 from dynagen_bench.datasets import Normalization, WindowSampler, load_dataset
 from dynagen_bench.evaluation import evaluate
+from tests.agents.samples import SEQUENCE_AGENTS
 from tests.benchmarks.yardstick import PlainDT
 
 YARDSTICK = "yardstick"
@@ -49,7 +50,7 @@ def steps_of(dataset) -> dict[str, Callable[[], object]]:
     sampler, rng = WindowSampler(dataset, 20, dataset.normalization()), np.random.default_rng(0)
     plain = PlainDT(11, 3, 20)
     steps: dict[str, Callable[[], object]] = {YARDSTICK: lambda: plain.update(sampler.sample(64, rng))}
-    for name in AGENTS:
+    for name in SEQUENCE_AGENTS:
         for precision in ("bfloat16", "float32"):
             learner = new_learner(name, dataset, precision=precision)
             steps[f"{name}, {precision}"] = lambda learner=learner: learner.update(sampler)
@@ -83,7 +84,7 @@ def test_gradient_steps_beside_the_yardstick(benchmark, dataset, threads, capsys
             print(f"| {name} | {1e3 * value:.1f} | {least[YARDSTICK] / value:.2f} |")
 
 
-@pytest.mark.parametrize("name", AGENTS)
+@pytest.mark.parametrize("name", SEQUENCE_AGENTS)
 def test_acting_in_fifty_episodes(benchmark, dataset, name):
     benchmark.group = "a step of acting in 50 episodes, the context full"
     policy = new_learner(name, dataset).agent.policy()

@@ -127,6 +127,14 @@ def test_the_adaptation_set_is_of_one_test_dynamics_and_always_the_same(tiny_dat
     assert len(load_adaptation("Hopper", 0, episodes=8).episode_lengths) == 8
 
 
+def test_train_dynamics_have_such_sets_too_by_the_same_rule(tiny_data):
+    train = load_dataset("Hopper", "train")
+    chosen = load_adaptation("Hopper", 19, split="train", episodes=4)
+    assert (chosen.split, set(chosen.episode_dynamics)) == ("train", {19})
+    ranked = np.sort(train.episode_returns[train.episode_dynamics == 19])
+    np.testing.assert_array_equal(np.sort(chosen.episode_returns), ranked[1::2])
+
+
 def test_an_adaptation_set_is_sampled_with_the_train_datas_normalisation(tiny_data):
     chosen = load_adaptation("Hopper", 2, episodes=3)
     sampler = WindowSampler(chosen, 4, load_dataset("Hopper").normalization())
@@ -142,6 +150,7 @@ def test_an_adaptation_set_is_sampled_with_the_train_datas_normalisation(tiny_da
     ("load", "message"),
     [
         (lambda: load_adaptation("Hopper", 5), "choose a whole number from 0 to 4"),
+        (lambda: load_adaptation("Hopper", 0, split="nominal"), "there are no data of split 'nominal'"),
         (lambda: load_adaptation("Hoper", 0), "did you mean 'Hopper'"),
         (lambda: load_adaptation("Hopper", 0), "episodes is 10: give a whole number from 1 to 8"),
         (lambda: load_dataset("Hopper", "test", quality=0.3), "quality is of train data, not of split 'test'"),

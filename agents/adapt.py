@@ -1,0 +1,198 @@
+"""Fine-tuning for each test dynamics (the paper, Table 1): `python -m agents.adapt runs/dadt-Hopper-seed0`.
+
+What is here: from a finished run to the official evaluation of five agents, each fine-tuned on ten episodes of the test
+dynamics that it acts in; `--curve` tells how many steps to take, by train dynamics that the run held out. Called from
+the command line; `submit --track adaptation` takes what it leaves. It must not know any agent by name.
+
+A run that was killed goes on with the dynamics that it was at: give the same command again.
+"""
+
+import dataclasses
+import shutil
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import rich
+import rich.table
+import torch
+import tyro
+
+from agents.checkpoint import package_versions
+from agents.fine_tuning import (
+    CURVE,
+    AdaptationSettings,
+    FineTuning,
+    TrainedRun,
+    held_out_names,
+    measure_curve,
+    write_curve,
+)
+from agents.interface import Contextual
+from agents.recording import progress_bar
+from agents.run_folder import locked, read_json, write_json
+from dynagen_bench import ids
+from dynagen_bench.evaluation import Evaluation
+from dynagen_bench.evaluation.traces import Traces, load_traces, physics_digest, save_traces
+
+
+def adapt(folder: Path, settings: AdaptationSettings) -> Path:
+    """Fine-tune and evaluate for each test dynamics, or go on with it; returns the file of the result.
+
+    Raises:
+        FileNotFoundError: the folder is no finished run, or the test data are missing.
+        ValueError: the run is of a predictor, or of another robot or agent than its folder says.
+        FloatingPointError: a loss is no number any more; the dynamics that are done are kept.
+    """
+    run = TrainedRun.read(folder)
+    if isinstance(run.checkpoint.build_agent(), Contextual):
+        settings = dataclasses.replace(settings, steps=0)
+    robot, result, parts = run.checkpoint.spec.robot, folder / "adaptation.json", folder / "adaptation"
+    facts = {
+        "agent": run.checkpoint.agent,
+        "seed": run.checkpoint.seed,
+        "gradient_steps": run.checkpoint.step + settings.steps,
+        "trained_steps": run.checkpoint.step,
+        "adaptation": dataclasses.asdict(settings),
+        "versions": package_versions(),
+    }
+    with locked(folder):
+        if _is_of(result, facts):
+            return result
+        names = ids.choose_ids(robot, "test")
+        files = [parts / f"{name.label}.json" for name in names]
+        _adapt_each(run, settings, dict(zip(files, names, strict=True)), {**facts, "physics": physics_digest(robot)})
+        hours = run.record["hours"] + sum(read_json(file)["hours"] for file in files)
+        _write_result(result, {**facts, "hours": hours}, join([read_result(file) for file in files]))
+        shutil.rmtree(parts)
+    return result
+
+
+def _adapt_each(
+    run: TrainedRun, settings: AdaptationSettings, names: Mapping[Path, ids.DynamicsId], facts: dict[str, Any]
+) -> None:
+    """Make the files that are not there, of `facts`, one a dynamics."""
+    data = run.data(list(names.values()), settings.episodes)
+    with progress_bar() as bars:
+        bar = bars.add_task(f"{run.folder.name}, adapting", total=settings.steps * len(names), note="")
+        for number, (file, name) in enumerate(names.items()):
+            bars.update(bar, completed=number * settings.steps, note=name.label)
+            if not _is_of(file, facts):
+                started, tuning = time.monotonic(), FineTuning(run.checkpoint, settings, name, data[number])
+                tuning.advance_to(settings.steps, lambda: bars.advance(bar))
+                evaluation = tuning.evaluate()
+                _write_result(file, {**facts, "hours": (time.monotonic() - started) / 3600}, evaluation)
+
+
+def _is_of(file: Path, facts: dict[str, Any]) -> bool:
+    """There is a result, and it was made of these."""
+    return file.is_file() and facts.items() <= read_json(file).items()
+
+
+def _write_result(file: Path, facts: dict[str, Any], evaluation: Evaluation) -> None:
+    """Write the traces, then the JSON, which says that they are there."""
+    assert evaluation.traces is not None, "evaluate records traces unless told not to"
+    save_traces(file.with_suffix(".safetensors"), evaluation.traces)
+    write_json(file, {**facts, "evaluation": evaluation.to_json()})
+
+
+def read_result(file: Path) -> Evaluation:
+    """The evaluation in a JSON file of a run, with its traces, which lie beside it."""
+    evaluation = Evaluation.from_json(read_json(file)["evaluation"])
+    traces = load_traces(file.with_suffix(".safetensors"), evaluation.robot, evaluation.lengths)
+    return dataclasses.replace(evaluation, traces=traces)
+
+
+def join(parts: Sequence[Evaluation]) -> Evaluation:
+    """One evaluation of several, each of other dynamics, in this order; all with traces."""
+    traces = [part.traces for part in parts if part.traces is not None]
+    steps = (np.concatenate([getattr(one, field) for one in traces]) for field in ("lengths", "actions", "states"))
+    return dataclasses.replace(
+        parts[0],
+        indices=tuple(index for part in parts for index in part.indices),
+        returns=np.concatenate([part.returns for part in parts]),
+        lengths=np.concatenate([part.lengths for part in parts]),
+        seeds=np.concatenate([part.seeds for part in parts]),
+        traces=Traces(*steps),
+    )
+
+
+def comparison(before: Evaluation, after: Evaluation) -> rich.table.Table:
+    """Return and score in each dynamics and in all, without and with fine-tuning."""
+    table = rich.table.Table("dynamics", title=f"{before.robot}: mean return (score)")
+    for word in ("zero-shot", "adapted"):
+        table.add_column(word, justify="right")
+    cells = [[*_cells(evaluation)] for evaluation in (before, after)]
+    for row in zip((*before.labels, "all"), *cells, strict=True):
+        table.add_row(*row)
+    return table
+
+
+def _cells(evaluation: Evaluation) -> list[str]:
+    means = [*evaluation.returns.mean(axis=1), evaluation.returns.mean()]
+    try:
+        scores = [f" ({score:.1f})" for score in (*evaluation.dynamics_scores.values(), evaluation.score)]
+    except ValueError:  # no reference scores of this robot are made yet
+        scores = [""] * len(means)
+    return [f"{mean:.1f}{score}" for mean, score in zip(means, scores, strict=True)]
+
+
+def choose_steps(folder: Path, settings: AdaptationSettings, points: Sequence[int] = CURVE) -> Path:
+    """Measure and print the returns after each number of steps, in held-out train dynamics; returns the CSV file.
+
+    Raises:
+        FileNotFoundError, ValueError, FloatingPointError: as `adapt`; or the run held out no dynamics.
+    """
+    run, path = TrainedRun.read(folder), folder / "adaptation-curve.csv"
+    with locked(folder), progress_bar() as bars:
+        total = max(points) * len(held_out_names(run))
+        bar = bars.add_task(f"{folder.name}, curve", total=total, note="")
+        returns = measure_curve(run, settings, points, lambda: bars.advance(bar))
+        write_curve(path, points, returns)
+    table = rich.table.Table("steps", "mean return", *returns)
+    for steps, *values in zip(points, *returns.values(), strict=True):
+        table.add_row(str(steps), *(f"{value:.1f}" for value in (np.mean(values), *values)))
+    rich.print(table)
+    return path
+
+
+def command(
+    run: Annotated[Path, tyro.conf.Positional],
+    settings: Annotated[AdaptationSettings, tyro.conf.arg(name="")],
+    curve: bool = False,
+    threads: int = 0,
+) -> None:
+    """Fine-tune a finished run for each test dynamics, and evaluate it there.
+
+    Args:
+        run: folder of a run that training has finished.
+        settings: how.
+        curve: measure instead, in the train dynamics that the run held out, what how many steps give.
+        threads: processor threads for torch; 0 leaves it to torch.
+    """
+    if threads > 0:
+        torch.set_num_threads(threads)
+    if curve:
+        rich.print(f"written: {choose_steps(run, settings)}")
+        return
+    result = adapt(run, settings)
+    before = Evaluation.from_json(read_json(run / "evaluation.json")["evaluation"])
+    rich.print(comparison(before, read_result(result)))
+    rich.print(f"written: {result}")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command line; an error that a user can mend is one line."""
+    try:
+        tyro.cli(command, prog="python -m agents.adapt", args=arguments)
+    except (ValueError, OSError, FloatingPointError) as error:
+        sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit("stopped: give the same command again to continue")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""An agent that goes on learning in one dynamics, from a few of its episodes; and how long it should.
+
+What is here: how it is fine-tuned, and the curve by which the number of steps is chosen, in train dynamics that the run
+held out. Called by `adapt`. It must not know any agent by name, nor what is done with the test dynamics' results.
+
+Fine-tuning is training continued: the same updates on other data, with the paper's values (appendix C), a constant
+learning rate and a new optimiser. Observations stay normalised by the train data. An agent that learns in phases begins
+with its first one, which is the one that its actions come from. An agent that is told the dynamics by data is given
+them, and takes no step.
+"""
+
+import csv
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from torch import Tensor
+
+from agents import AGENTS
+from agents.checkpoint import Checkpoint, load_checkpoint
+from agents.config import check_ranges
+from agents.interface import Agent, Contextual
+from agents.learner import Learner
+from agents.run_folder import read_finished
+from agents.validation import held_out_indices
+from dynagen_bench import ids
+from dynagen_bench.datasets import OfflineDataset, load_adaptation
+from dynagen_bench.evaluation import Evaluation, evaluate
+from dynagen_bench.whole import whole_file
+
+CURVE: Final = (0, 100, 200, 500, 1000, 2000, 5000)
+"""Steps after which the curve has a point."""
+
+
+@dataclasses.dataclass(frozen=True)
+class AdaptationSettings:
+    """How an agent is fine-tuned; defaults are the paper's (appendix C), where it has one.
+
+    Raises:
+        ValueError: a field is out of its range.
+    """
+
+    steps: int = 1000
+    """Gradient steps for each dynamics. The paper does not say how many: see `--curve`."""
+    learning_rate: float = 1e-5
+    """Constant."""
+    weight_decay: float = 1e-2
+    """Of AdamW."""
+    batch_size: int = 32
+    """Windows in a gradient step."""
+    episodes: int = 10
+    """Of each dynamics to fine-tune on; 10 is the benchmark's fixed set."""
+    seed: int = 0
+    """Of windows and dropout, together with the run's own."""
+
+    def __post_init__(self) -> None:
+        whole = {"steps": (0, 10**9), "batch_size": (1, 10**6), "episodes": (1, 10**6), "seed": (0, 2**63 - 1)}
+        check_ranges(self, {**whole, "learning_rate": (0.0, 1.0), "weight_decay": (0.0, 10.0)})
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainedRun:
+    """A run that training has ended: what its folder says.
+
+    Attributes:
+        folder: of the run.
+        config, record: config.json and evaluation.json.
+        checkpoint: the last one.
+    """
+
+    folder: Path
+    config: dict[str, Any]
+    record: dict[str, Any]
+    checkpoint: Checkpoint
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read a run of an agent.
+
+        Raises:
+            FileNotFoundError: the folder is no finished run.
+            ValueError: the run is of a predictor, was not trained to its end, or its checkpoint is of another run.
+        """
+        config, record = read_finished(folder, AGENTS)
+        agent, robot = config["agent"], config["settings"]["robot"]
+        return cls(folder, config, record, load_checkpoint(folder / "last.safetensors", agent=agent, robot=robot))
+
+    def data(self, names: Sequence[ids.DynamicsId], episodes: int) -> list[OfflineDataset]:
+        """The adaptation set of each dynamics, from the part of the snapshots that the run was trained on."""
+        every = self.config["settings"]["every"]
+        return [load_adaptation(x.robot, x.index, split=x.split, episodes=episodes, every=every) for x in names]
+
+
+class FineTuning:
+    """One agent on its way from a run's last checkpoint to one dynamics."""
+
+    def __init__(
+        self, checkpoint: Checkpoint, settings: AdaptationSettings, name: ids.DynamicsId, data: OfflineDataset
+    ) -> None:
+        """At the checkpoint; the random numbers of the way are those of the run's seed, the settings' and the name."""
+        values = {field: getattr(settings, field) for field in ("learning_rate", "weight_decay", "batch_size")}
+        config = dataclasses.replace(checkpoint.config, warmup_steps=0, **values)
+        key = (checkpoint.seed, settings.seed, tuple(ids.SPLIT_SIZES).index(name.split), name.index)
+        seed = int(np.random.SeedSequence(key).generate_state(1)[0])
+        self.name, self._data = name, data
+        self._sampler = config.sampler(data, checkpoint.spec.normalization)
+        self._learner = Learner(checkpoint.agent, config, checkpoint.spec, seed)
+        self._learner.agent.load_state_dict(checkpoint.parameters)
+
+    def advance_to(self, steps: int, after_each: Callable[[], None]) -> None:
+        """Take gradient steps until there are `steps`; raises FloatingPointError where a loss is no number."""
+        while self._learner.step < steps:
+            try:
+                self._learner.update(self._sampler)
+            except FloatingPointError as error:
+                raise FloatingPointError(f"adapting to {self.name.robot} {self.name.label}: {error}") from error
+            after_each()
+
+    @property
+    def parameters(self) -> Mapping[str, Tensor]:
+        """Name → tensor, of the agent as it is now."""
+        return self._learner.checkpoint().parameters
+
+    def evaluate(self) -> Evaluation:
+        """In the dynamics, the same episodes as without fine-tuning."""
+        agent = self._learner.agent
+        assert isinstance(agent, Agent), "`TrainedRun` is of agents alone"
+        policy = agent.policy_given(self._data) if isinstance(agent, Contextual) else agent.policy()
+        return evaluate(policy, self.name.robot, self.name.split, indices=[self.name.index])
+
+
+def held_out_names(run: TrainedRun) -> list[ids.DynamicsId]:
+    """The train dynamics that a run held out; raises ValueError if it held out none."""
+    count = run.config["settings"]["hold_out"]
+    if count == 0:
+        raise ValueError(
+            f"{run.folder} held out no train dynamics: train one with --hold-out, steps are not chosen by test dynamics"
+        )
+    return ids.choose_ids(run.checkpoint.spec.robot, "train", held_out_indices(count))
+
+
+def measure_curve(
+    run: TrainedRun, settings: AdaptationSettings, points: Sequence[int], after_each: Callable[[], None]
+) -> dict[str, list[float]]:
+    """The mean return after so many steps, in each held-out train dynamics by label; `settings.steps` is not used."""
+    names, found = held_out_names(run), dict[str, list[float]]()
+    for name, data in zip(names, run.data(names, settings.episodes), strict=True):
+        tuning, means = FineTuning(run.checkpoint, settings, name, data), list[float]()
+        for steps in points:
+            tuning.advance_to(steps, after_each)
+            means.append(float(tuning.evaluate().returns.mean()))
+        found[name.label] = means
+    return found
+
+
+def write_curve(path: Path, points: Sequence[int], returns: dict[str, list[float]]) -> None:
+    """Write a line a point: its steps, the mean over the dynamics, and each dynamics' own mean return."""
+    with whole_file(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["steps", "mean_return", *returns])
+        for steps, *values in zip(points, *returns.values(), strict=True):
+            writer.writerow([steps, *(f"{value:.7g}" for value in (float(np.mean(values)), *values))])

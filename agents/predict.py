@@ -1,0 +1,150 @@
+"""Next-state errors of runs, the paper's Table 3 and Figure 4: `python -m agents.predict runs/dadt-* runs/mlp-*`.
+
+What is here: reading runs, measuring their last checkpoints in the test data, and the table. Called from the command
+line. It must not know any agent by name, nor how an error is computed.
+"""
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import rich
+import rich.table
+import torch
+import tyro
+
+from agents.checkpoint import Checkpoint, load_checkpoint
+from agents.interface import Predictor
+from agents.prediction import EPISODES, PredictionErrors, prediction_errors, write_prediction
+from agents.run_folder import read_json
+from dynagen_bench import ids
+from dynagen_bench.datasets import load_dataset
+
+
+class Run(NamedTuple):
+    """A run to be measured, or one that has been."""
+
+    folder: Path
+    checkpoint: Checkpoint
+    every: int
+    """The part of the data that it was trained on, one in so many snapshots."""
+
+    @property
+    def cell(self) -> tuple[str, str]:
+        """Its agent and robot: the place in the table."""
+        return self.checkpoint.agent, self.checkpoint.spec.robot
+
+
+def predict(
+    runs: Annotated[list[Path], tyro.conf.Positional],
+    test_every: int | None = None,
+    episodes: int | None = EPISODES,
+    threads: int = 0,
+) -> None:
+    """Measure runs in the data of the test dynamics, write `prediction.json` in their folders, and show a table.
+
+    Args:
+        runs: run folders that training has made, of any agents, robots and seeds. Those that cannot predict are named.
+        test_every: measure in every n-th snapshot's data alone; the part that the runs were trained on if left out.
+        episodes: of each test dynamics at most this many, spread over their returns; None takes all.
+        threads: processor threads for torch; 0 leaves it to torch.
+
+    Raises:
+        FileNotFoundError: a folder is no run, or the test data are not here.
+        ValueError: the runs do not belong in one table.
+    """
+    if not runs:
+        raise ValueError("no runs given: name at least one run folder")
+    if threads:
+        torch.set_num_threads(threads)
+    found = [read_run(folder) for folder in runs]
+    parts = check_comparable(found, test_every)
+    measured = dict[tuple[str, str], list[float]]()
+    for run in found:
+        errors = measure(run, parts[run.checkpoint.spec.robot], episodes)
+        if errors is None:
+            rich.print(f"{run.folder}: {run.checkpoint.agent} does not predict the next state, left out")
+        else:
+            measured.setdefault(run.cell, []).append(errors.mean)
+    if measured:
+        rich.print(table(measured))
+
+
+def read_run(folder: Path) -> Run:
+    """A run's last checkpoint; raises FileNotFoundError where there is none."""
+    for file in ("config.json", "last.safetensors"):
+        if not (folder / file).is_file():
+            raise FileNotFoundError(f"{folder} is no run, it has no {file}: give a folder that training made")
+    return Run(
+        folder, load_checkpoint(folder / "last.safetensors"), read_json(folder / "config.json")["settings"]["every"]
+    )
+
+
+def check_comparable(runs: Sequence[Run], test_every: int | None) -> dict[str, int]:
+    """The part of the test data for each robot.
+
+    Raises:
+        ValueError: runs of one agent and robot differ in more than their seed, or runs of one robot in their part of
+            the data while no part is asked for.
+    """
+    parts, first = dict[str, int](), dict[tuple[str, str], Run]()
+    for run in runs:
+        part = parts.setdefault(run.checkpoint.spec.robot, run.every if test_every is None else test_every)
+        if test_every is None and part != run.every:
+            raise ValueError(
+                f"{run.folder} was trained on every {run.every} of the snapshots, another run of its robot on every "
+                f"{part}: give --test-every, so that all are measured in the same data"
+            )
+        other = first.setdefault(run.cell, run)
+        facts, others = ({"step": r.checkpoint.step} | dataclasses.asdict(r.checkpoint.config) for r in (run, other))
+        for fact, here in facts.items():
+            if here != others[fact]:
+                raise ValueError(
+                    f"{fact} of {other.folder} is {others[fact]!r}, of {run.folder} {here!r}: a mean over both means "
+                    "nothing, give them apart"
+                )
+    return parts
+
+
+def measure(run: Run, every: int, episodes: int | None) -> PredictionErrors | None:
+    """The errors of a run, which are written to its folder too; None if its agent cannot predict."""
+    predictor, spec = run.checkpoint.build_agent(), run.checkpoint.spec
+    if not isinstance(predictor, Predictor):
+        return None
+    test = load_dataset(spec.robot, "test", every=every)
+    errors = prediction_errors(predictor, test, spec.normalization, run.checkpoint.config.context, episodes=episodes)
+    write_prediction(run.folder, run.checkpoint, errors, every, episodes)
+    return errors
+
+
+def table(measured: dict[tuple[str, str], list[float]]) -> rich.table.Table:
+    """Errors by (agent, robot): mean ± standard deviation (of a sample) over runs, and how many they are."""
+    robots = [robot for robot in ids.ROBOTS if any(robot == column for _, column in measured)]
+    agents = dict.fromkeys(agent for agent, _ in measured)
+    shown = rich.table.Table("agent", *robots, title="mean square error of normalised next states, test dynamics")
+    for agent in agents:
+        shown.add_row(agent, *(summary(measured.get((agent, robot), [])) for robot in robots))
+    return shown
+
+
+def summary(errors: Sequence[float]) -> str:
+    """`0.0123 ± 0.0004 (5)`, without a deviation of one run."""
+    if not errors:
+        return ""
+    spread = f" ± {np.std(errors, ddof=1):.5f}" if len(errors) > 1 else ""
+    return f"{np.mean(errors):.5f}{spread} ({len(errors)})"
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command line; an error that a user can mend is one line."""
+    try:
+        tyro.cli(predict, args=arguments, description=__doc__)
+    except (ValueError, OSError, FloatingPointError) as error:
+        sys.exit(f"error: {error}")
+
+
+if __name__ == "__main__":
+    main()

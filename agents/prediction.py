@@ -1,0 +1,191 @@
+"""How well the next state is predicted: the errors of the paper's Table 3 and Figure 4.
+
+What is here: the mean square error in each dynamics of a dataset, and the record of it in a run folder. Called by
+`train`, for what predicts and does not act, and by `predict`. It must not know any predictor by name.
+
+The data of each episode are cut into windows of K steps, 0 to K − 1, K to 2K − 1 and so on; what is left at the end is
+a window that is padded. So each step is predicted once, one step ahead, by an agent that sees 0 to K − 1 steps before
+it. The error is that of the normalised next state, by the statistics of the train data: the mean of its square over the
+S elements and all steps of a dynamics. The error of a robot is the mean over its test dynamics, each counting the same.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import rich.console
+import rich.progress
+import torch
+from numpy.typing import NDArray
+
+from agents.checkpoint import Checkpoint, package_versions
+from agents.interface import Predictor
+from agents.learner import Learner
+from agents.run_folder import write_json
+from dynagen_bench.datasets import Normalization, OfflineDataset, Windows, WindowSampler
+from dynagen_bench.datasets.subsets import spread_episodes
+
+PREDICTION: Final = "prediction.json"
+"""Of a run folder: the errors in the test dynamics."""
+
+EPISODES: Final = 200
+"""Of each test dynamics, where no other number is given: a fifth of the data tells what all of them do."""
+
+BATCH: Final = 256
+"""Windows in a forward pass: fewer keep a processor less busy, more do not fit its caches."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PredictionErrors:
+    """Mean square errors of normalised next states, one step ahead.
+
+    Attributes:
+        robot, split: of the data.
+        dynamics: (D,) int64, indices in the split.
+        errors: (D,) float64.
+        steps: (D,) int64, that an error is the mean of.
+    """
+
+    robot: str
+    split: str
+    dynamics: NDArray[np.int64]
+    errors: NDArray[np.float64]
+    steps: NDArray[np.int64]
+
+    @property
+    def mean(self) -> float:
+        """Over the dynamics, each counting the same."""
+        return float(self.errors.mean())
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON types, the mean among them."""
+        lists = {field: getattr(self, field).tolist() for field in ("dynamics", "errors", "steps")}
+        return {"robot": self.robot, "split": self.split, "mean": self.mean, **lists}
+
+
+def prediction_errors(
+    predictor: Predictor,
+    dataset: OfflineDataset,
+    normalization: Normalization,
+    context: int,
+    *,
+    episodes: int | None = EPISODES,
+    progress: bool = True,
+) -> PredictionErrors:
+    """Measure a predictor in each dynamics of a dataset.
+
+    Args:
+        predictor: computes in float32.
+        dataset: any split; `test` for the paper's numbers.
+        normalization: of the data that the predictor was trained on.
+        context: K, steps of a window.
+        episodes: of each dynamics at most this many, spread over their returns (`subsets.spread_episodes`); None takes
+            all.
+        progress: show a progress bar on the error stream.
+
+    Raises:
+        ValueError: no steps, a context or number of episodes below 1, or a normalisation of another observation.
+        FloatingPointError: a prediction is not finite; the message names the dynamics.
+    """
+    if episodes is not None:
+        dataset = dataset.select(spread_over(dataset, episodes))
+    sampler = WindowSampler(dataset, context, normalization)
+    starts, owners = tiles(dataset.episode_lengths, context)
+    dynamics, of_episode = np.unique(dataset.episode_dynamics, return_inverse=True)
+    of_window = of_episode[owners]
+    squares, steps = np.zeros(len(dynamics)), np.zeros(len(dynamics), dtype=np.int64)
+    for part in _batches(len(starts), f"{dataset.robot} next states", progress):
+        windows = sampler.windows_at(starts[part])
+        square = square_errors(predictor, windows).sum(axis=1, dtype=np.float64)  # (B,)
+        squares += np.bincount(of_window[part], square, len(dynamics))
+        steps += np.bincount(of_window[part], windows.mask.sum(axis=1), len(dynamics)).astype(np.int64)
+    errors = squares / np.maximum(steps, 1)
+    if not np.isfinite(errors).all():
+        worst = dynamics[np.argmin(np.isfinite(errors))]
+        raise FloatingPointError(
+            f"a next state of {dataset.robot} {dataset.split}{worst} is predicted to be no finite number: train again "
+            "with a lower --learning-rate, or check the data"
+        )
+    return PredictionErrors(dataset.robot, dataset.split, dynamics, errors, steps)
+
+
+def square_errors(predictor: Predictor, windows: Windows) -> NDArray[np.float32]:
+    """Square error of each step (B, K), the mean over the S elements; 0 at padding."""
+    with torch.inference_mode():
+        predicted = predictor.predict(windows).float().cpu().numpy()
+    assert predicted.shape == windows.next_observations.shape, predicted.shape
+    error = np.where(windows.mask[:, :, None], predicted - windows.next_observations, np.float32(0))
+    mean: NDArray[np.float32] = np.square(error).mean(axis=2)
+    return mean
+
+
+def tiles(lengths: NDArray[np.int64], context: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First steps (W,), counted through all episodes, of the windows that tile them, and the episodes (W,) they are of.
+
+    Args:
+        lengths: (E,), steps of the episodes.
+        context: K, steps of a window.
+    """
+    counts = -(-lengths // context)  # (E,) windows of an episode
+    owners = np.repeat(np.arange(len(lengths)), counts)
+    number = np.arange(len(owners)) - (np.cumsum(counts) - counts)[owners]  # of a window in its episode
+    return (np.cumsum(lengths) - lengths)[owners] + number * context, owners
+
+
+def spread_over(dataset: OfflineDataset, episodes: int) -> NDArray[np.int64]:
+    """Numbers of the episodes that are at most `episodes` of each dynamics and stand for all its returns."""
+    if episodes < 1:
+        raise ValueError(f"episodes is {episodes}: give a whole number from 1 on, or leave it out for all")
+    chosen = []
+    for dynamics in np.unique(dataset.episode_dynamics):
+        own = np.flatnonzero(dataset.episode_dynamics == dynamics)
+        chosen.append(own[spread_episodes(dataset.episode_returns[own], min(episodes, len(own)))])
+    return np.concatenate(chosen)
+
+
+def record_prediction(
+    learner: Learner, folder: Path, test: OfflineDataset, every: int, *, official: bool
+) -> dict[str, float]:
+    """Measure a predictor in training, keep it if it is official, and return what the curves show."""
+    assert isinstance(learner.agent, Predictor), f"{learner.name} neither acts nor predicts"
+    errors = prediction_errors(learner.agent, test, learner.spec.normalization, learner.config.context, progress=False)
+    if official:
+        write_prediction(folder, learner.checkpoint(), errors, every, EPISODES)
+    return {"test_error": errors.mean}
+
+
+def write_prediction(
+    folder: Path, checkpoint: Checkpoint, errors: PredictionErrors, every: int, episodes: int | None
+) -> None:
+    """Write `prediction.json` in a run folder.
+
+    Args:
+        folder: the run's.
+        checkpoint: that was measured.
+        errors: its errors in the test dynamics.
+        every: the part of the data that they are of, one in this many snapshots.
+        episodes: at most as many of each dynamics; None stands for all.
+    """
+    record = {
+        "agent": checkpoint.agent,
+        "seed": checkpoint.seed,
+        "gradient_steps": checkpoint.step,
+        "hours": checkpoint.seconds / 3600,
+        "context": checkpoint.config.context,
+        "every": every,
+        "episodes": episodes,
+        "versions": package_versions(),
+        "prediction": errors.to_json(),
+    }
+    write_json(folder / PREDICTION, record)
+
+
+def _batches(windows: int, label: str, progress: bool) -> Iterator[slice]:
+    """Slices of `BATCH` windows, with a progress bar on the error stream."""
+    first = range(0, windows, BATCH)
+    console = rich.console.Console(stderr=True)
+    with rich.progress.Progress(console=console, transient=True, disable=not progress) as bars:
+        for start in bars.track(first, description=label):
+            yield slice(start, start + BATCH)

@@ -1,0 +1,82 @@
+"""Single steps of several dynamics, told apart: what agents with annotated data are trained on.
+
+What is here: `Transitions` and `TaskSampler`. Called by the configs of FOCAL and MerPO (the paper, section 5.2: they
+"are trained with trajectories annotated with dynamics-id"). It must not know agents; a dynamics is a number to it, and
+nothing of its mass or friction.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynagen_bench.datasets import Normalization, OfflineDataset
+
+
+class Transitions(NamedTuple):
+    """B steps of each of M dynamics."""
+
+    observations: NDArray[np.float32]
+    """(M, B, S), normalised."""
+    actions: NDArray[np.float32]
+    """(M, B, A)."""
+    rewards: NDArray[np.float32]
+    """(M, B)."""
+    next_observations: NDArray[np.float32]
+    """(M, B, S), normalised."""
+    terminal: NDArray[np.bool_]
+    """(M, B), the step ended the episode by itself. An episode that reached the horizon could have gone on: False."""
+    dynamics: NDArray[np.int64]
+    """(M,), numbers of the dynamics."""
+
+
+class TaskSampler:
+    """Draws M dynamics, and B steps of each: any step of a dynamics' data is as likely as another."""
+
+    def __init__(self, dataset: OfflineDataset, normalization: Normalization, tasks: int) -> None:
+        """Sample `tasks` = M dynamics at once, each once; all of them where there are no more.
+
+        Raises:
+            ValueError: data without steps.
+        """
+        if dataset.num_steps == 0:
+            raise ValueError(f"the {dataset.split} data of {dataset.robot} have no steps to sample")
+        self._data, self._normalization = dataset, normalization
+        self._episodes = np.argsort(dataset.episode_dynamics, kind="stable")
+        self._ends = np.cumsum(dataset.episode_lengths[self._episodes])  # (E,) steps up to the end of each episode
+        self.dynamics, first = np.unique(dataset.episode_dynamics[self._episodes], return_index=True)
+        self._bounds = np.append(np.append(0, self._ends)[first], self._ends[-1])  # steps up to each dynamics' first
+        self._tasks = min(tasks, len(self.dynamics))
+
+    def sample(self, batch_size: int, rng: np.random.Generator) -> Transitions:
+        """Draw `batch_size` = B steps of each of M dynamics, which are in order."""
+        chosen = np.sort(rng.permutation(len(self.dynamics))[: self._tasks])
+        low, high = self._bounds[chosen], self._bounds[chosen + 1]
+        return self._at(rng.integers(low[:, None], high[:, None], size=(self._tasks, batch_size)), chosen)
+
+    def everything(self) -> Transitions:
+        """All steps of the data, of one dynamics.
+
+        Raises:
+            ValueError: the data are of several.
+        """
+        if len(self.dynamics) != 1:
+            raise ValueError(f"the data are of {len(self.dynamics)} dynamics: give those of one")
+        return self._at(np.arange(self._ends[-1])[None], np.zeros(1, dtype=np.int64))
+
+    def _at(self, steps: NDArray[np.int64], chosen: NDArray[np.int64]) -> Transitions:
+        """The steps (M, B), counted through all episodes by dynamics."""
+        data = self._data
+        place = np.searchsorted(self._ends, steps, side="right")
+        episodes = self._episodes[place]
+        lengths = data.episode_lengths[episodes]
+        timesteps = steps - (self._ends[place] - lengths)
+        rows = data.episode_starts[episodes] + timesteps
+        return Transitions(
+            observations=self._normalization.apply(data.observations[rows]),
+            actions=data.actions[rows],
+            rewards=data.rewards[rows],
+            next_observations=self._normalization.apply(data.observations[rows + 1]),
+            terminal=data.episode_terminated[episodes] & (timesteps == lengths - 1),
+            dynamics=self.dynamics[chosen],
+        )
