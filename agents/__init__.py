@@ -16,6 +16,7 @@ from agents.dt import DecisionTransformer, DTConfig
 from agents.dt_plus import DTPlus, DTPlusConfig
 from agents.focal import FOCAL, FOCALConfig
 from agents.lstm import LSTM, LSTMConfig
+from agents.merpo import MerPO, MerPOConfig
 from agents.mlp import MLP, MLPConfig
 from agents.transformer_bc import TransformerBC, TransformerBCConfig
 
@@ -29,6 +30,7 @@ AGENTS: Final[dict[str, tuple[type[TrainingConfig], Any]]] = {
     "dt": (DTConfig, DecisionTransformer),
     "dt_plus": (DTPlusConfig, DTPlus),
     "focal": (FOCALConfig, FOCAL),
+    "merpo": (MerPOConfig, MerPO),
     "transformer_bc": (TransformerBCConfig, TransformerBC),
 }
 """Name → its config's class and its own (see `interface.Agent`)."""

@@ -31,7 +31,6 @@ from agents.fine_tuning import (
     measure_curve,
     write_curve,
 )
-from agents.interface import Contextual
 from agents.recording import progress_bar
 from agents.run_folder import locked, read_json, write_json
 from dynagen_bench import ids
@@ -48,8 +47,7 @@ def adapt(folder: Path, settings: AdaptationSettings) -> Path:
         FloatingPointError: a loss is no number any more; the dynamics that are done are kept.
     """
     run = TrainedRun.read(folder)
-    if isinstance(run.checkpoint.build_agent(), Contextual):
-        settings = dataclasses.replace(settings, steps=0)
+    settings = settings.for_agent(run.checkpoint.build_agent(), run.checkpoint.config)
     robot, result, parts = run.checkpoint.spec.robot, folder / "adaptation.json", folder / "adaptation"
     facts = {
         "agent": run.checkpoint.agent,

@@ -20,8 +20,8 @@ from torch import Tensor
 
 from agents import AGENTS
 from agents.checkpoint import Checkpoint, load_checkpoint
-from agents.config import check_ranges
-from agents.interface import Agent, Contextual
+from agents.config import TrainingConfig, check_ranges
+from agents.interface import Agent, Contextual, ForTask, Trainable
 from agents.learner import Learner
 from agents.run_folder import read_finished
 from agents.validation import held_out_indices
@@ -34,6 +34,10 @@ CURVE: Final = (0, 100, 200, 500, 1000, 2000, 5000)
 """Steps after which the curve has a point."""
 
 
+PAPER: Final[dict[str, Any]] = {"learning_rate": 1e-5, "weight_decay": 1e-2, "batch_size": 32}
+"""Appendix C."""
+
+
 @dataclasses.dataclass(frozen=True)
 class AdaptationSettings:
     """How an agent is fine-tuned; defaults are the paper's (appendix C), where it has one.
@@ -44,20 +48,32 @@ class AdaptationSettings:
 
     steps: int = 1000
     """Gradient steps for each dynamics. The paper does not say how many: see `--curve`."""
-    learning_rate: float = 1e-5
-    """Constant."""
-    weight_decay: float = 1e-2
-    """Of AdamW."""
-    batch_size: int = 32
-    """Windows in a gradient step."""
+    learning_rate: float | None = None
+    """Constant; the paper's 1e-5 if left out, for an agent with parts of its own for each dynamics that of training."""
+    weight_decay: float | None = None
+    """Of AdamW; the paper's 1e-2 if left out, or that of training, as above."""
+    batch_size: int | None = None
+    """Samples in a gradient step; the paper's 32 if left out, or that of training, as above."""
     episodes: int = 10
     """Of each dynamics to fine-tune on; 10 is the benchmark's fixed set."""
     seed: int = 0
     """Of windows and dropout, together with the run's own."""
 
     def __post_init__(self) -> None:
-        whole = {"steps": (0, 10**9), "batch_size": (1, 10**6), "episodes": (1, 10**6), "seed": (0, 2**63 - 1)}
-        check_ranges(self, {**whole, "learning_rate": (0.0, 1.0), "weight_decay": (0.0, 10.0)})
+        ranges: dict[str, tuple[float, float]]
+        ranges = {"steps": (0, 10**9), "batch_size": (1, 10**6), "episodes": (1, 10**6), "seed": (0, 2**63 - 1)}
+        ranges |= {"learning_rate": (0.0, 1.0), "weight_decay": (0.0, 10.0)}
+        check_ranges(self, {field: limits for field, limits in ranges.items() if getattr(self, field) is not None})
+
+    def for_agent(self, agent: Trainable, config: TrainingConfig) -> Self:
+        """These with what is left out filled in for an agent of that config; one that is given data takes no step."""
+        own: Mapping[str, Any] = PAPER
+        if isinstance(agent, ForTask):
+            own = {field: getattr(config, field) for field in PAPER}
+        filled = {field: value for field, value in own.items() if getattr(self, field) is None}
+        if isinstance(agent, Contextual):
+            filled["steps"] = 0
+        return dataclasses.replace(self, **filled)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,14 +116,17 @@ class FineTuning:
         self, checkpoint: Checkpoint, settings: AdaptationSettings, name: ids.DynamicsId, data: OfflineDataset
     ) -> None:
         """At the checkpoint; the random numbers of the way are those of the run's seed, the settings' and the name."""
-        values = {field: getattr(settings, field) for field in ("learning_rate", "weight_decay", "batch_size")}
-        config = dataclasses.replace(checkpoint.config, warmup_steps=0, **values)
+        agent = checkpoint.build_agent()
+        settings = settings.for_agent(agent, checkpoint.config)
+        config = dataclasses.replace(
+            checkpoint.config, warmup_steps=0, **{field: getattr(settings, field) for field in PAPER}
+        )
         key = (checkpoint.seed, settings.seed, tuple(ids.SPLIT_SIZES).index(name.split), name.index)
         seed = int(np.random.SeedSequence(key).generate_state(1)[0])
         self.name, self._data = name, data
         self._sampler = config.sampler(data, checkpoint.spec.normalization)
-        self._learner = Learner(checkpoint.agent, config, checkpoint.spec, seed)
-        self._learner.agent.load_state_dict(checkpoint.parameters)
+        agent = agent.for_task() if isinstance(agent, ForTask) else agent
+        self._learner = Learner(checkpoint.agent, config, checkpoint.spec, seed, agent)
 
     def advance_to(self, steps: int, after_each: Callable[[], None]) -> None:
         """Take gradient steps until there are `steps`; raises FloatingPointError where a loss is no number."""

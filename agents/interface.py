@@ -112,6 +112,9 @@ class Trainable(Protocol):
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> Any:
         """As of `torch.nn.Module`."""
 
+    def to(self, device: torch.device) -> Self:
+        """As of `torch.nn.Module`."""
+
 
 @runtime_checkable
 class Agent(Trainable, Protocol):

@@ -17,11 +17,15 @@ from agents.interface import Following, Phased, RobotSpec, Sampler, Trainable
 class Learner:
     """An agent, its optimiser, and how far they are."""
 
-    def __init__(self, name: str, config: TrainingConfig, spec: RobotSpec, seed: int) -> None:
-        """An untrained agent, on CUDA where it is there; the seed draws its parameters."""
+    def __init__(
+        self, name: str, config: TrainingConfig, spec: RobotSpec, seed: int, agent: Trainable | None = None
+    ) -> None:
+        """An agent, on CUDA where it is there: the one that is given, or a new one whose parameters the seed draws."""
         self.name, self.config, self.spec, self.seed = name, config, spec, seed
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        self.agent: Trainable = TRAINABLE[name][1](config, spec, torch.Generator().manual_seed(seed)).to(device)
+        if agent is None:
+            agent = TRAINABLE[name][1](config, spec, torch.Generator().manual_seed(seed))
+        self.agent: Trainable = agent.to(device)
         self.optimizer = torch.optim.AdamW(
             self.agent.parameters(),
             lr=config.learning_rate,

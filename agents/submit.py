@@ -16,7 +16,7 @@ import rich
 import tyro
 
 from agents import AGENTS
-from agents.fine_tuning import AdaptationSettings
+from agents.fine_tuning import PAPER, AdaptationSettings
 from agents.run_folder import RunSettings, read_curve, read_finished, read_json
 from dynagen_bench import ids
 from dynagen_bench.evaluation.result import EpisodeRecord, first_error
@@ -182,7 +182,7 @@ def _commands(run: FinishedRun) -> list[str]:
     if "adaptation" in run.record:
         named = ("seed", "every", "quality", "hold_out")
         folder = dataclasses.replace(defaults, **{key: settings[key] for key in named}).folder(agent)
-        options = _options(_changed(run.record["adaptation"], dataclasses.asdict(AdaptationSettings())))
+        options = _options(_changed(run.record["adaptation"], dataclasses.asdict(AdaptationSettings()) | PAPER))
         commands.append(" ".join([f"python -m agents.adapt {folder.as_posix()}", *options]))
     return commands
 

@@ -19,7 +19,7 @@ from dynagen_bench import ids
 from dynagen_bench.datasets import load_adaptation
 from dynagen_bench.evaluation import Evaluation, evaluate
 from dynagen_bench.evaluation.traces import load_traces
-from tests.agents.samples import hopper_spec, random_dataset, tiny_config
+from tests.agents.samples import hopper_spec, new_agent, random_dataset, tiny_config
 from tests.agents.test_train import settings
 
 FAST = AdaptationSettings(steps=3, learning_rate=0.01, batch_size=4, episodes=2)
@@ -85,7 +85,7 @@ def test_it_leaves_the_result_of_all_test_dynamics(run, tiny_data, capsys):
     assert all(word in printed for word in ("zero-shot", "adapted", "test0", "test4", "all"))
     record = json.loads((run / "adaptation.json").read_text())
     assert (record["agent"], record["seed"], record["trained_steps"], record["gradient_steps"]) == ("dadt", 0, 2, 5)
-    assert AdaptationSettings(**record["adaptation"]) == FAST
+    assert AdaptationSettings(**record["adaptation"]) == dataclasses.replace(FAST, weight_decay=1e-2)
     assert record["hours"] > json.loads((run / "evaluation.json").read_text())["hours"]
     assert not (run / "adaptation").exists()
 
@@ -198,7 +198,7 @@ def test_more_episodes_than_there_are_is_refused(run, tiny_data):
 
 
 def test_the_papers_values_are_the_defaults():
-    found = AdaptationSettings()
+    found = AdaptationSettings().for_agent(new_agent("dadt"), tiny_config("dadt"))
     assert (found.learning_rate, found.weight_decay, found.batch_size, found.episodes) == (1e-5, 1e-2, 32, 10)
 
 
@@ -216,3 +216,21 @@ def test_an_agent_that_is_told_dynamics_by_data_is_given_them_and_takes_no_step(
     alone = evaluate(given, "Hopper", indices=[3])
     assert np.array_equal(adapted.returns[3], alone.returns[0])
     assert not np.array_equal(adapted.returns, evaluation_of(folder / "evaluation.json").returns)
+
+
+def test_an_agent_with_parts_for_each_dynamics_gets_some_for_the_new_one_at_its_own_rate(tmp_path, tiny_data):
+    config = AGENTS["merpo"][0](
+        tasks=2, batch_size=8, starts=4, rollout=2, hidden=8, model_hidden=8, members=2, steps=4, learning_rate=0.01
+    )
+    data = dataclasses.replace(random_dataset(), episode_dynamics=np.array([0, 1, 1]))
+    folder = train("merpo", config, settings(tmp_path / "runs", evaluate_every=0), data)
+    checkpoint = load_checkpoint(folder / "last.safetensors")
+    tuning = FineTuning(checkpoint, AdaptationSettings(steps=3), TEST0, random_dataset(split="test"))
+    common = checkpoint.build_agent().for_task()
+    assert not different(tuning.parameters, dict(common.named_parameters()))
+    tuning.advance_to(3, lambda: None)
+    assert different(tuning.parameters, dict(common.named_parameters()))
+    record = json.loads(adapt(folder, AdaptationSettings(steps=2, episodes=2)).read_text())
+    assert record["adaptation"] == {
+        "steps": 2, "learning_rate": 0.01, "weight_decay": 0.0, "batch_size": 8, "episodes": 2, "seed": 0,
+    }  # fmt: skip
