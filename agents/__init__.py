@@ -18,6 +18,7 @@ from agents.focal import FOCAL, FOCALConfig
 from agents.lstm import LSTM, LSTMConfig
 from agents.merpo import MerPO, MerPOConfig
 from agents.mlp import MLP, MLPConfig
+from agents.trajectory_transformer import TrajectoryTransformer, TrajectoryTransformerConfig
 from agents.transformer_bc import TransformerBC, TransformerBCConfig
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ AGENTS: Final[dict[str, tuple[type[TrainingConfig], Any]]] = {
     "dt_plus": (DTPlusConfig, DTPlus),
     "focal": (FOCALConfig, FOCAL),
     "merpo": (MerPOConfig, MerPO),
+    "trajectory_transformer": (TrajectoryTransformerConfig, TrajectoryTransformer),
     "transformer_bc": (TransformerBCConfig, TransformerBC),
 }
 """Name → its config's class and its own (see `interface.Agent`)."""

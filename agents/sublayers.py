@@ -94,9 +94,15 @@ def attend(
 
 
 def perceive(
-    x: Tensor, norm: Affine, widen: Affine, narrow: Affine, dtype: torch.dtype, masks: DropoutMasks | None
+    x: Tensor,
+    norm: Affine,
+    widen: Affine,
+    narrow: Affine,
+    dtype: torch.dtype,
+    masks: DropoutMasks | None,
+    gelu: bool = False,
 ) -> Tensor:
-    """A two-layer perceptron with ReLU and what it is added to: (B, T, D) float32 → (B, T, D) float32.
+    """A two-layer perceptron with ReLU or GELU and what it is added to: (B, T, D) float32 → (B, T, D) float32.
 
     Args:
         x: the tokens.
@@ -105,8 +111,9 @@ def perceive(
         narrow: (D, 4D) and (D,).
         dtype: of the products.
         masks: draws dropout, on the output.
+        gelu: GELU in place of ReLU.
     """
-    y: Tensor = _Perceptron.apply(x, *norm, *widen, *narrow, dtype, masks)  # type: ignore[no-untyped-call]
+    y: Tensor = _Perceptron.apply(x, *norm, *widen, *narrow, dtype, masks, gelu)  # type: ignore[no-untyped-call]
     return y
 
 
@@ -168,24 +175,28 @@ class _Attention(Function):
 class _Perceptron(Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, *inputs: Any) -> Tensor:
-        gain, shift, w_wide, b_wide, w_narrow, b_narrow, dtype, masks = inputs
+        gain, shift, w_wide, b_wide, w_narrow, b_narrow, dtype, masks, gelu = inputs
         h, mean, rstd = torch.native_layer_norm(x, x.shape[2:], gain, shift, EPSILON)
         h, w_wide, w_narrow = _rows(h.to(dtype)), w_wide.to(dtype), w_narrow.to(dtype)
-        wide = torch.addmm(b_wide.to(dtype), h, w_wide.T).relu_()  # (M, 4D)
+        wide = torch.addmm(b_wide.to(dtype), h, w_wide.T)  # (M, 4D)
+        before, wide = (wide, torch.nn.functional.gelu(wide)) if gelu else (None, wide.relu_())
         result, out_mask = _add(x, torch.addmm(b_narrow.to(dtype), wide, w_narrow.T), masks)
-        ctx.save_for_backward(x, mean, rstd, gain, shift, h, w_wide, wide, w_narrow, out_mask)
+        ctx.save_for_backward(x, mean, rstd, gain, shift, h, w_wide, before, wide, w_narrow, out_mask)
         return result
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> Any:
-        x, mean, rstd, gain, shift, h, w_wide, wide, w_narrow, out_mask = ctx.saved_tensors
+        x, mean, rstd, gain, shift, h, w_wide, before, wide, w_narrow, out_mask = ctx.saved_tensors
         dwide, dw_narrow, db_narrow = _product_backward(_masked(grad, out_mask).to(h.dtype), wide, w_narrow)
-        dwide = torch.ops.aten.threshold_backward.grad_input(dwide, wide, 0, grad_input=dwide)  # of ReLU, in place
+        if before is None:
+            dwide = torch.ops.aten.threshold_backward.grad_input(dwide, wide, 0, grad_input=dwide)  # of ReLU, in place
+        else:
+            dwide = torch.ops.aten.gelu_backward(dwide, before)
         dh, dw_wide, db_wide = _product_backward(dwide, h, w_wide)
         dx = _norm_backward(dh.float().view(x.shape), x, mean, rstd, gain, shift)
         dx[0].add_(grad)
-        return *dx, dw_wide, db_wide, dw_narrow, db_narrow, None, None
+        return *dx, dw_wide, db_wide, dw_narrow, db_narrow, *[None] * 3
 
 
 def _rows(x: Tensor) -> Tensor:

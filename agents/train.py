@@ -24,7 +24,7 @@ import tyro
 from agents import TRAINABLE
 from agents.checkpoint import load_checkpoint, package_versions, save_checkpoint
 from agents.config import TrainingConfig
-from agents.interface import RobotSpec, Sampler
+from agents.interface import Fitted, RobotSpec, Sampler
 from agents.learner import Learner
 from agents.prediction import PREDICTION
 from agents.recording import Record, progress_bar, recorder, score_if_known
@@ -80,6 +80,8 @@ def train(
             raise ValueError(f"{folder} is at step {learner.step} already: give --steps {learner.step} or more")
         check_patience(name, learner.agent, settings.patience)
         sampler = config.sampler(dataset, normalization)
+        if learner.step == 0 and isinstance(learner.agent, Fitted):
+            learner.agent.fit(sampler)
         validation = None if held is None else Validation(held, settings.hold_out, config, learner.spec)
         record, result = recorder(learner, settings, folder)
         curves = Curves(folder, learner.step)
