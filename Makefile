@@ -29,8 +29,8 @@ demo: $(INSTALLED)  ## rebuild a part of Hopper's data, train three agents on it
 	$(BIN)/python -m agents.summary .demo/runs --output .demo/summary.html
 	@echo "Learning curves: .demo/summary.html, or $(BIN)/tensorboard --logdir .demo/runs"
 
-test: $(INSTALLED)  ## all tests
-	$(BIN)/python -m pytest
+test: $(INSTALLED)  ## all tests, a file on one of all processors
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 check: $(INSTALLED)  ## format, lint, types, layers, the leaderboard's pages and entries
 	$(BIN)/ruff format --check .
