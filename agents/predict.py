@@ -66,7 +66,7 @@ def predict(
     for run in found:
         errors = measure(run, parts[run.checkpoint.spec.robot], episodes)
         if errors is None:
-            rich.print(f"{run.folder}: {run.checkpoint.agent} does not predict the next state, left out")
+            print(f"{run.folder}: {run.checkpoint.agent} does not predict the next state, left out")
         else:
             measured.setdefault(run.cell, []).append(errors.mean)
     if measured:

@@ -214,9 +214,9 @@ def test_in_a_browser_values_are_read_with_pointer_and_keys(tmp_path):
 
         tab.locator(".board a", has_text="next-state-weight 0.05").press("Enter")
         group = tab.locator("details", has_text="next-state-weight 0.05").first
-        assert group.get_by_text('"next_state_weight": 0.05').is_visible()
+        playwright.expect(group.get_by_text('"next_state_weight": 0.05')).to_be_visible()
         tab.locator("summary").last.press("Enter")
-        assert tab.locator("details[open]").count() == 2
+        playwright.expect(tab.locator("details[open]")).to_have_count(2)
         browser.close()
     assert said == []
     assert {url.split("#")[0] for url in requests if not url.startswith("data:")} == {(tmp_path / "page.html").as_uri()}

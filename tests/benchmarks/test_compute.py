@@ -5,6 +5,7 @@ thread's processor time, and the smallest of the rounds. Batches and nets are th
 data are noise of Ant's sizes in 20 dynamics: what is in them changes no time. No test asserts a time.
 """
 
+import itertools
 import time
 from collections.abc import Callable
 
@@ -80,13 +81,22 @@ def test_gradient_steps(benchmark, learners, capsys):
     show(capsys, "a gradient step", turns(benchmark, calls, rounds=5))
 
 
+def acting(policy) -> Callable[[], object]:
+    """A step of acting: what is seen and earned differs from step to step, as in an episode that goes on."""
+    seen = itertools.cycle(np.random.default_rng(0).normal(size=(50, EPISODES, STATES)))
+
+    def step() -> None:
+        policy.predict(next(seen))
+        policy.observe(np.ones(EPISODES))
+
+    return step
+
+
 def test_acting_in_ten_episodes(benchmark, learners, capsys):
     benchmark.group = "a step of acting in ten episodes of Ant at once, the context full, one thread"
-    calls, observations = {}, np.random.default_rng(0).normal(size=(EPISODES, STATES))
-    for name in COMPARED:
-        policy = learners[name][0].agent.policy()
-        for _ in range(20 if name != "trajectory_transformer" else 5):
-            policy.predict(observations)
-        calls[name] = lambda policy=policy: policy.predict(observations)
+    calls = {name: acting(learners[name][0].agent.policy()) for name in COMPARED}
+    for name, call in calls.items():
+        for _ in range(5 if name == "trajectory_transformer" else 20):
+            call()
     least = {name: HORIZON * value for name, value in turns(benchmark, calls, rounds=3).items()}
     show(capsys, f"{HORIZON} steps of {EPISODES} episodes", least)
