@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from agents.discretization import Discretizer, quantile_thresholds
+from agents.trajectory_transformer.discretization import Discretizer, quantile_thresholds
 
 ROWS = arrays(np.float32, st.tuples(st.integers(1, 40), st.integers(1, 3)), elements=st.floats(-1e6, 1e6, width=32))
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from agents.interface import History
-from agents.planning import BeamSearch, Planning, beam_search, draw
+from agents.trajectory_transformer.planning import BeamSearch, Planning, beam_search, draw
 from tests.agents.samples import A, K, S
 
 S1, A2, BINS = 1, 2, 3  # sizes of a state and an action in the model below

@@ -6,7 +6,7 @@ from torch.nn.functional import cross_entropy, gelu, layer_norm, linear
 
 from agents.config import TransformerConfig
 from agents.sublayers import Affine, DropoutMasks, perceive
-from agents.token_transformer import TokenTransformer
+from agents.trajectory_transformer.token_transformer import TokenTransformer
 
 J, K, N = 5, 4, 7
 VALUE = J - 1

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.trajectories import TrajectorySampler, discounted_values
+from agents.trajectory_transformer.trajectories import TrajectorySampler, discounted_values
 from dynagen_bench.datasets import Normalization
 from dynagen_bench.envs import HORIZON
 from tests.agents.samples import flat_dataset

@@ -25,11 +25,11 @@ from torch import Tensor, nn
 
 from agents.acting import ContextPolicy, blockwise
 from agents.config import TransformerConfig, check_ranges
-from agents.discretization import Discretizer
 from agents.interface import History, RobotSpec, Sampler
-from agents.planning import BeamSearch, Planning, beam_search
-from agents.token_transformer import TokenTransformer
-from agents.trajectories import Trajectories, TrajectorySampler
+from agents.trajectory_transformer.discretization import Discretizer
+from agents.trajectory_transformer.planning import BeamSearch, Planning, beam_search
+from agents.trajectory_transformer.token_transformer import TokenTransformer
+from agents.trajectory_transformer.trajectories import Trajectories, TrajectorySampler
 from dynagen_bench.datasets import Normalization, OfflineDataset
 
 FITTED: Final = 500_000

@@ -1,7 +1,7 @@
 """The GPT of Trajectory Transformer: tokens of J dimensions a transition in, the distribution of each next one out.
 
 What is here: the net, and `Branches`, which goes on from what it has read in many ways at once, token by token. Called
-by `trajectory_transformer`; `planning` asks a `Branches` alone. It must not know what a dimension means but the last.
+by `agent`; `planning` asks a `Branches` alone. It must not know what a dimension means but the last.
 
     tokens    s s s a a r v   s s s a a r v   …        an embedding for each dimension and bin, and for each position
     seen by   ╰─┴─┴─┴─┴─╯ ·   ╰─┴─┴─┴─┴─╯ ·             later tokens; the last of a transition, its value, by none
