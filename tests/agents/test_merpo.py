@@ -9,8 +9,8 @@ import torch
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.interface import Agent, Following, ForTask, Phased
 from agents.learner import Learner
-from agents.merpo import Imagined, MerPO, MerPOConfig
-from agents.world_model import Steps
+from agents.merpo.agent import Imagined, MerPO, MerPOConfig
+from agents.merpo.world_model import Steps
 from dynagen_bench.evaluation import Policy, RewardAware, evaluate
 from tests.agents.samples import A, S, flat_dataset, hopper_spec, random_dataset
 

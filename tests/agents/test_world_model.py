@@ -5,8 +5,8 @@ import pytest
 import torch
 from torch.nn import functional
 
+from agents.merpo.world_model import LOG_VARIANCE, Steps, WorldModel
 from agents.nets import move_to_mean, spread
-from agents.world_model import LOG_VARIANCE, Steps, WorldModel
 
 
 def generator(seed=0):

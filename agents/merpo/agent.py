@@ -44,9 +44,9 @@ from agents.acting import ContextPolicy, blockwise
 from agents.config import TrainingConfig, check_ranges
 from agents.gaussian import GaussianActor, Moments, divergence
 from agents.interface import History, RobotSpec, Sampler
+from agents.merpo.world_model import Steps, WorldModel
 from agents.nets import Nets, fixed, move_to_mean, spread
 from agents.transitions import TaskSampler, Transitions
-from agents.world_model import Steps, WorldModel
 from dynagen_bench.datasets import Normalization, OfflineDataset
 
 LOG_STD: Final = (-5.0, 2.0)

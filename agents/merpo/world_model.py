@@ -1,7 +1,7 @@
 """Models of several dynamics side by side, from which episodes are imagined: MerPO's.
 
 What is here: `WorldModel`, an ensemble for each dynamics and one in the middle of them, the meta-model. Called by
-`merpo`. It must not know policies, critics, nor how long an imagined episode is.
+`agent`. It must not know policies, critics, nor how long an imagined episode is.
 
     input     normalised state s, action / limit
     output    a Gaussian of the change of the normalised state and of the reward; the probability that the step ends it
