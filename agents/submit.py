@@ -162,9 +162,8 @@ def _training_line(runs: list[FinishedRun]) -> str:
     for patience in sorted({run.config["settings"]["patience"] for run in runs if run.last.get("stopped_early")}):
         line += f", stopped early after {patience} evaluations without a better return in those"
     for adaptation in [run.record["adaptation"] for run in runs if "adaptation" in run.record][:1]:
-        line += (
-            f", then fine-tuned for {adaptation['steps']:,} on {adaptation['episodes']} episodes of each test dynamics"
-        )
+        how = f"fine-tuned for {adaptation['steps']:,} on" if adaptation["steps"] else "given"
+        line += f", then {how} {adaptation['episodes']} episodes of each test dynamics"
     return line + "."
 
 
