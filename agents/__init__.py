@@ -1,6 +1,6 @@
 """Reference agents, run from a checkout: `python -m agents.train dadt --robot Hopper`.
 
-One file tells one paper; `train` is the one loop. Letters for shapes, everywhere in this package:
+One file or folder tells one paper; `train` is the one loop. Letters for shapes, everywhere in this package:
 
     B batch    K context length, steps the agent sees    T tokens    D embedding    H attention heads
     S state size    A action size    N parallel environments

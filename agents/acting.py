@@ -57,6 +57,20 @@ def _like(seen: Seen, tensors: Iterable[Tensor]) -> Seen:
     return type(seen)(*tensors)
 
 
+def checked_observations(observation: NDArray[np.floating[Any]], spec: RobotSpec) -> NDArray[np.floating[Any]]:
+    """Observations (N, S) as an array; raises ValueError for another shape."""
+    observation = np.asarray(observation)
+    if observation.ndim != 2 or observation.shape[1] != spec.state_size:
+        raise ValueError(f"observations have shape {observation.shape}: give (N, {spec.state_size})")
+    return observation
+
+
+def check_rewards(rewards: NDArray[np.floating[Any]], lanes: int) -> None:
+    """Raise ValueError unless rewards are (N,), N being `lanes`."""
+    if np.shape(rewards) != (lanes,):
+        raise ValueError(f"rewards have shape {np.shape(rewards)}: give {(lanes,)}, one an episode")
+
+
 class ContextPolicy:
     """N episodes at once: their last K steps, left padded, and the return still wanted in each."""
 
@@ -102,9 +116,7 @@ class ContextPolicy:
         Raises:
             ValueError: observations of another shape, or an episode that is longer than any trained on.
         """
-        observation = np.asarray(observation)
-        if observation.ndim != 2 or observation.shape[1] != self._spec.state_size:
-            raise ValueError(f"observations have shape {observation.shape}: give (N, {self._spec.state_size})")
+        observation = checked_observations(observation, self._spec)
         if len(observation) != len(self._now):
             self._allocate(len(observation))
         elif episode_start is not None:
@@ -124,8 +136,7 @@ class ContextPolicy:
 
     def observe(self, rewards: NDArray[np.floating[Any]]) -> None:
         """Lower the wanted returns by the rewards (N,) of the step just done (paper, section 4, Evaluation)."""
-        if np.shape(rewards) != self._wanted.shape:
-            raise ValueError(f"rewards have shape {np.shape(rewards)}: give {self._wanted.shape}, one an episode")
+        check_rewards(rewards, len(self._wanted))
         self._wanted -= rewards
 
     def _begin(self, starting: NDArray[np.bool_]) -> None:

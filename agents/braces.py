@@ -1,6 +1,6 @@
 """Braces expanded as a shell does: `{a,b} {0..2}` → `a 0`, `a 1`, `a 2`, `b 0`, `b 1`, `b 2`.
 
-What is here: `expand`. Called by `sweep`. It must not know what it expands.
+What is here: `expand`. Called by `sweep_plan`. It must not know what it expands.
 
 A text is expanded as if the shell saw one word: spaces are characters like others. Lists may be nested and have empty
 choices; a range is one of whole numbers. What is neither, such as `{a}` or a brace without its other half, stays as it

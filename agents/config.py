@@ -129,3 +129,13 @@ def check_ranges(config: Any, ranges: dict[str, tuple[float, float]]) -> None:
         if isinstance(value, bool) or not isinstance(value, kind) or not low <= value <= high:
             number = "whole number" if kind is int else "number"
             raise ValueError(f"{field} is {value!r}: give a {number} from {low:g} to {high:g}")
+
+
+def check_first_phase(config: TrainingConfig, field: str, rest: str) -> None:
+    """Raise ValueError unless `field`, the steps of a first phase, is None or leaves some of `steps` for `rest`."""
+    first, steps = getattr(config, field), config.steps
+    if first is not None and (isinstance(first, bool) or not isinstance(first, int) or not 0 < first < steps):
+        raise ValueError(
+            f"{field} is {first!r} of {steps!r} steps: give a whole number from 1 on, below steps, so that some are "
+            f"left for {rest}"
+        )

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from agents.acting import blockwise
+from agents.acting import blockwise, check_rewards, checked_observations
 from agents.interface import RobotSpec
 
 
@@ -86,9 +86,7 @@ class ContextActor:
         Raises:
             ValueError: observations of another shape.
         """
-        observation = np.asarray(observation)
-        if observation.ndim != 2 or observation.shape[1] != self._spec.state_size:
-            raise ValueError(f"observations have shape {observation.shape}: give (N, {self._spec.state_size})")
+        observation = checked_observations(observation, self._spec)
         lanes = len(observation)
         if lanes != len(self._begun):
             self._allocate(lanes)
@@ -109,8 +107,5 @@ class ContextActor:
 
     def observe(self, rewards: NDArray[np.floating[Any]]) -> None:
         """Take the rewards (N,) of the step just made."""
-        if np.shape(rewards) != tuple(self._rewards.shape):
-            raise ValueError(
-                f"rewards have shape {np.shape(rewards)}: give {tuple(self._rewards.shape)}, one an episode"
-            )
+        check_rewards(rewards, len(self._rewards))
         self._rewards = torch.from_numpy(np.asarray(rewards, dtype=np.float32))

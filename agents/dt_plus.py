@@ -19,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.acting import ContextPolicy
+from agents.config import check_first_phase
 from agents.dadt import next_states
 from agents.dt import ACTION, DecisionTransformer, DTConfig, masked_mean_square
 from agents.interface import History, RobotSpec
@@ -35,12 +36,7 @@ class DTPlusConfig(DTConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        first = self.trunk_steps
-        if first is not None and (isinstance(first, bool) or not isinstance(first, int) or not 0 < first < self.steps):
-            raise ValueError(
-                f"trunk_steps is {first!r} of {self.steps!r} steps: give a whole number from 1 on, below steps, so "
-                "that some are left for the head"
-            )
+        check_first_phase(self, "trunk_steps", rest="the head")
 
     def for_robot(self, robot: str) -> Self:
         """This config with the robot's target return and the first phase's steps filled in."""

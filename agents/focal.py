@@ -34,7 +34,7 @@ from agents.config import TrainingConfig, check_ranges
 from agents.context import ContextActor, Known, Step, transitions_of
 from agents.gaussian import GaussianActor
 from agents.interface import RobotSpec, Sampler
-from agents.nets import Nets, fixed
+from agents.nets import Nets, fixed, move_to_mean
 from agents.transitions import TaskSampler, Transitions
 from dynagen_bench.datasets import Normalization, OfflineDataset
 
@@ -209,8 +209,7 @@ class FOCAL(nn.Module):
     @torch.no_grad()
     def follow(self, values: Mapping[str, float]) -> None:
         """After an update: V̄ takes over a share of V, and α moves by D less its target."""
-        for slow, fast in zip(self.slow_v.parameters(), self.v.parameters(), strict=True):
-            slow.lerp_(fast, self.config.follow)
+        move_to_mean(self.slow_v, self.v, self.config.follow)
         self.alpha.add_(values["divergence"] - self.config.target_divergence)
         if self.config.variant == "paper":
             self.alpha.clamp_(0.0, self.config.alpha_max)

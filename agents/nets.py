@@ -63,6 +63,9 @@ def spread(few: nn.Module, many: nn.Module) -> None:
 
 @torch.no_grad()
 def move_to_mean(few: nn.Module, many: nn.Module, share: float = 1.0) -> None:
-    """The other way: each of K nets goes a share of the way to the mean of its M, parameter by parameter."""
+    """The other way: each of K nets goes a share of the way to the mean of its M, parameter by parameter.
+
+    With M = 1 it is how a slow copy follows a net.
+    """
     for one, copies in zip(few.parameters(), many.parameters(), strict=True):
         one.lerp_(copies.view(len(one), -1, *copies.shape[1:]).mean(dim=1), share)

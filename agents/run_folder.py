@@ -32,6 +32,7 @@ from typing import Any, Final
 from torch.utils.tensorboard.writer import SummaryWriter
 
 from dynagen_bench import ids
+from dynagen_bench.datasets.subsets import check_quality
 from dynagen_bench.whole import whole_file
 
 _LENGTH: Final = ("steps", "patience")
@@ -82,8 +83,7 @@ class RunSettings:
                 raise ValueError(f"{field} is {getattr(self, field)}: give a whole number from {low} on")
         if self.checkpoint_every % self.log_every:
             raise ValueError(f"checkpoint_every {self.checkpoint_every} is no multiple of log_every {self.log_every}")
-        if not 0 < self.quality <= 1:
-            raise ValueError(f"quality is {self.quality}: give a share of the episodes, above 0 and at most 1")
+        check_quality(self.quality)
         if self.hold_out >= ids.SPLIT_SIZES["train"]:
             most = ids.SPLIT_SIZES["train"] - 1
             raise ValueError(f"hold_out is {self.hold_out}: give at most {most} dynamics, so that some are trained on")
@@ -134,7 +134,8 @@ def claimed(folder: Path, description: Mapping[str, Any]) -> Iterator[None]:
     with locked(folder):
         path = folder / "config.json"
         if path.is_file():
-            _check_same_run(path, description)
+            here = _identity(json.loads(json.dumps(description)))
+            check_same_run(folder, _identity(read_json(path)), here, instead="--name")
         write_json(path, description)
         yield
 
@@ -180,13 +181,13 @@ def _default_settings() -> dict[str, Any]:
     return {field.name: field.default for field in fields if field.default is not dataclasses.MISSING}
 
 
-def _check_same_run(path: Path, description: Mapping[str, Any]) -> None:
-    old, new = _identity(read_json(path)), _identity(json.loads(json.dumps(description)))
-    for key in sorted(old.keys() | new.keys()):
-        if old.get(key) != new.get(key):
+def check_same_run(folder: Path, there: Mapping[str, Any], here: Mapping[str, Any], instead: str) -> None:
+    """Raise ValueError if facts of a folder's run differ from those wanted; `instead` is the option for another one."""
+    for key in sorted(there.keys() | here.keys()):
+        if there.get(key) != here.get(key):
             raise ValueError(
-                f"{path.parent} is of another run, {key} is {old.get(key)!r} there and {new.get(key)!r} here: "
-                "give another --name, or delete the folder"
+                f"{folder} is of another run, {key} is {there.get(key)!r} there and {here.get(key)!r} here: "
+                f"give another {instead}, or delete the folder"
             )
 
 

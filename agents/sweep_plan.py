@@ -20,7 +20,7 @@ from typing import Any, Final
 from agents.braces import expand
 from agents.config import TrainingConfig
 from agents.recording import run_files
-from agents.run_folder import RunSettings, read_json
+from agents.run_folder import RunSettings, check_same_run, read_json
 from agents.train import parse
 from dynagen_bench.jobs import Job
 
@@ -98,15 +98,11 @@ def is_finished(one: SweepRun, runs: Path) -> bool:
     path = runs / one.name / "config.json"
     if not path.is_file():
         return False
-    found, new = read_json(path), _description(one)
+    found = read_json(path)
     old = _description(dataclasses.replace(one, config=type(one.config)(), settings=RunSettings(one.settings.robot)))
     old |= {**found["settings"], **found["config"], "agent": found["agent"]}  # what is newer than it is by default
-    for key in sorted((old.keys() | new.keys()) - set(_OURS)):
-        if old.get(key) != new.get(key):
-            raise ValueError(
-                f"{path.parent} is of another run, {key} is {old.get(key)!r} there and {new.get(key)!r} here: give "
-                "another --runs, or delete the folder"
-            )
+    there, here = ({k: v for k, v in facts.items() if k not in _OURS} for facts in (old, _description(one)))
+    check_same_run(path.parent, there, here, instead="--runs")
     return all((runs / output).is_file() for output in one.job.outputs)  # the result comes last
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynagen_bench.datasets import Normalization, OfflineDataset
+from dynagen_bench.datasets.steps import StepIndex
 
 
 class Transitions(NamedTuple):
@@ -39,13 +40,11 @@ class TaskSampler:
         Raises:
             ValueError: data without steps.
         """
-        if dataset.num_steps == 0:
-            raise ValueError(f"the {dataset.split} data of {dataset.robot} have no steps to sample")
-        self._data, self._normalization = dataset, normalization
-        self._episodes = np.argsort(dataset.episode_dynamics, kind="stable")
-        self._ends = np.cumsum(dataset.episode_lengths[self._episodes])  # (E,) steps up to the end of each episode
-        self.dynamics, first = np.unique(dataset.episode_dynamics[self._episodes], return_index=True)
-        self._bounds = np.append(np.append(0, self._ends)[first], self._ends[-1])  # steps up to each dynamics' first
+        self._data = dataset.select(np.argsort(dataset.episode_dynamics, kind="stable"))
+        self._index, self._normalization = StepIndex(self._data), normalization
+        ends = self._index.ends
+        self.dynamics, first = np.unique(self._data.episode_dynamics, return_index=True)
+        self._bounds = np.append(np.append(0, ends)[first], ends[-1])  # steps up to each dynamics' first
         self._tasks = min(tasks, len(self.dynamics))
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> Transitions:
@@ -62,21 +61,17 @@ class TaskSampler:
         """
         if len(self.dynamics) != 1:
             raise ValueError(f"the data are of {len(self.dynamics)} dynamics: give those of one")
-        return self._at(np.arange(self._ends[-1])[None], np.zeros(1, dtype=np.int64))
+        return self._at(np.arange(self._bounds[-1])[None], np.zeros(1, dtype=np.int64))
 
     def _at(self, steps: NDArray[np.int64], chosen: NDArray[np.int64]) -> Transitions:
         """The steps (M, B), counted through all episodes by dynamics."""
         data = self._data
-        place = np.searchsorted(self._ends, steps, side="right")
-        episodes = self._episodes[place]
-        lengths = data.episode_lengths[episodes]
-        timesteps = steps - (self._ends[place] - lengths)
-        rows = data.episode_starts[episodes] + timesteps
+        episodes, timesteps, rows = self._index.find(steps)
         return Transitions(
             observations=self._normalization.apply(data.observations[rows]),
             actions=data.actions[rows],
             rewards=data.rewards[rows],
             next_observations=self._normalization.apply(data.observations[rows + 1]),
-            terminal=data.episode_terminated[episodes] & (timesteps == lengths - 1),
+            terminal=data.episode_terminated[episodes] & (timesteps == data.episode_lengths[episodes] - 1),
             dynamics=self.dynamics[chosen],
         )

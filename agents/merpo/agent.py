@@ -41,7 +41,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.acting import ContextPolicy, blockwise
-from agents.config import TrainingConfig, check_ranges
+from agents.config import TrainingConfig, check_first_phase, check_ranges
 from agents.gaussian import GaussianActor, Moments, divergence
 from agents.interface import History, RobotSpec, Sampler
 from agents.merpo.world_model import Steps, WorldModel
@@ -118,12 +118,7 @@ class MerPOConfig(TrainingConfig):
         check_ranges(self, {field: (1, most) for field, most in (sizes | layers | starts).items()})
         shares = ("meta_rate", "discount", "follow", "real_share", "alpha", "adaptation_model_share")
         check_ranges(self, dict.fromkeys(shares, (0.0, 1.0)) | dict.fromkeys(("eta", "beta", "penalty"), (0.0, 1e9)))
-        first = self.model_steps
-        if first is not None and (isinstance(first, bool) or not isinstance(first, int) or not 0 < first < self.steps):
-            raise ValueError(
-                f"model_steps is {first!r} of {self.steps!r} steps: give a whole number from 1 on, below steps, so "
-                "that some are left for the actor and the critics"
-            )
+        check_first_phase(self, "model_steps", rest="the actor and the critics")
 
     def for_robot(self, robot: str) -> Self:
         """This config with the first phase's steps filled in."""
@@ -302,8 +297,7 @@ class MerPO(nn.Module):
     def follow(self, values: Mapping[str, float]) -> None:
         """After an update: the meta-model goes towards the models, or Q̄ takes over a share of Q."""
         if not self._learns_model:
-            for slow, fast in zip(self.slow_q.parameters(), self.q.parameters(), strict=True):
-                slow.lerp_(fast, self.config.follow)
+            move_to_mean(self.slow_q, self.q, self.config.follow)
         elif not self.adapting:
             self.model.follow(self.config.meta_rate)
 

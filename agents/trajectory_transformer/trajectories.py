@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynagen_bench.datasets import Normalization, OfflineDataset
+from dynagen_bench.datasets.steps import StepIndex
 from dynagen_bench.envs import HORIZON
 
 
@@ -56,14 +57,13 @@ class TrajectorySampler:
         Raises:
             ValueError: data without steps.
         """
-        if dataset.num_steps == 0:
-            raise ValueError(f"the {dataset.split} data of {dataset.robot} have no steps to sample")
         self._data, self._context, self._normalization = dataset, context, normalization
-        self._ends = np.cumsum(dataset.episode_lengths)  # (E,) number of steps up to the end of each episode
-        offsets = dataset.episode_starts - (self._ends - dataset.episode_lengths)
-        rewards = dataset.rewards[np.repeat(offsets, dataset.episode_lengths) + np.arange(self._ends[-1])]
+        self._index = StepIndex(dataset)
+        ends = self._index.ends
+        offsets = dataset.episode_starts - (ends - dataset.episode_lengths)
+        rewards = dataset.rewards[np.repeat(offsets, dataset.episode_lengths) + np.arange(ends[-1])]
         if termination_penalty is not None:
-            rewards[self._ends[dataset.episode_terminated & (dataset.episode_lengths > 0)] - 1] = termination_penalty
+            rewards[ends[dataset.episode_terminated & (dataset.episode_lengths > 0)] - 1] = termination_penalty
         self._rewards = rewards  # (steps,), through all episodes in order
         self._values = discounted_values(rewards, dataset.episode_lengths, discount)  # (steps,)
 
@@ -79,10 +79,9 @@ class TrajectorySampler:
     def at(self, steps: NDArray[np.int64]) -> Trajectories:
         """The trajectories that begin at steps (B,), counted through all episodes in order."""
         data = self._data
-        episodes = np.searchsorted(self._ends, steps, side="right")
-        lengths = data.episode_lengths[episodes][:, None]
-        timesteps = (steps - self._ends[episodes])[:, None] + lengths + np.arange(self._context)  # (B, K)
-        real = timesteps < lengths
+        episodes, first, _ = self._index.find(steps)
+        timesteps = first[:, None] + np.arange(self._context)  # (B, K)
+        real = timesteps < data.episode_lengths[episodes][:, None]
         ended = ~real & data.episode_terminated[episodes][:, None] & (timesteps < HORIZON)
         there = self.rows(np.where(real, steps[:, None] + np.arange(self._context), steps[:, None]))
         return Trajectories(np.where(real[:, :, None], there, np.float32(0)), ended, real | ended)
@@ -90,8 +89,7 @@ class TrajectorySampler:
     def rows(self, steps: NDArray[np.int64]) -> NDArray[np.float32]:
         """Transitions (..., S + A + 2) at steps (...), counted through all episodes in order."""
         data = self._data
-        episodes = np.searchsorted(self._ends, steps, side="right")
-        rows = data.episode_starts[episodes] + steps - (self._ends[episodes] - data.episode_lengths[episodes])
+        rows = self._index.find(steps).rows
         observations = self._normalization.apply(data.observations[rows])
         numbers = (self._rewards[steps][..., None], self._values[steps][..., None])
         return np.concatenate((observations, data.actions[rows], *numbers), axis=-1)

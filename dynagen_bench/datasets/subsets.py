@@ -29,10 +29,15 @@ def worst_episodes(returns: NDArray[np.floating[Any]], quality: float) -> NDArra
     Raises:
         ValueError: `quality` is no such share.
     """
-    if isinstance(quality, bool) or not isinstance(quality, int | float) or not 0 < quality <= 1:
-        raise ValueError(f"quality is {quality!r}: give a share of the episodes, above 0 and at most 1")
+    check_quality(quality)
     count = max(1, round(quality * len(returns)))
     return np.sort(np.argsort(returns, kind="stable")[:count])
+
+
+def check_quality(quality: float) -> None:
+    """Raise ValueError unless it is a share of the episodes, above 0 and at most 1."""
+    if isinstance(quality, bool) or not isinstance(quality, int | float) or not 0 < quality <= 1:
+        raise ValueError(f"quality is {quality!r}: give a share of the episodes, above 0 and at most 1")
 
 
 def spread_episodes(returns: NDArray[np.floating[Any]], count: int) -> NDArray[np.int64]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from dynagen_bench.datasets.flat import OfflineDataset
 from dynagen_bench.datasets.normalization import Normalization
+from dynagen_bench.datasets.steps import StepIndex
 
 
 class Windows(NamedTuple):
@@ -54,8 +55,7 @@ class WindowSampler:
         """
         if context < 1:
             raise ValueError(f"context is {context}: give a whole number of steps from 1 on")
-        if dataset.num_steps == 0:
-            raise ValueError(f"the {dataset.split} data of {dataset.robot} have no steps to sample")
+        self._index = StepIndex(dataset)
         if normalization.mean.shape != (dataset.state_size,):
             raise ValueError(
                 f"normalization is of {normalization.mean.shape[0]} elements: {dataset.robot} has {dataset.state_size}"
@@ -63,7 +63,6 @@ class WindowSampler:
         self.dataset = dataset
         self.context = context
         self.normalization = normalization
-        self._ends = np.cumsum(dataset.episode_lengths)  # (E,) number of steps up to the end of each episode
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> Windows:
         """Draw `batch_size` = B windows."""
@@ -72,10 +71,8 @@ class WindowSampler:
     def windows_at(self, steps: NDArray[np.int64]) -> Windows:
         """The windows that begin at steps (B,), counted through all episodes in order."""
         data = self.dataset
-        episodes = np.searchsorted(self._ends, steps, side="right")
-        lengths = data.episode_lengths[episodes]
-        first = steps - (self._ends[episodes] - lengths)  # (B,) timestep at which the window begins
-        size = np.minimum(self.context, lengths - first)  # (B,) steps that are no padding
+        episodes, first, _ = self._index.find(steps)  # (B,), `first` the timestep at which the window begins
+        size = np.minimum(self.context, data.episode_lengths[episodes] - first)  # (B,) steps that are no padding
         position = np.arange(self.context) - (self.context - size)[:, None]  # (B, K), negative in the padding
         mask = position >= 0
         timesteps = np.where(mask, first[:, None] + position, 0)

@@ -5,6 +5,7 @@ thread's processor time, and the smallest of the rounds. Batches and nets are th
 data are noise of Ant's sizes in 20 dynamics: what is in them changes no time. No test asserts a time.
 """
 
+import dataclasses
 import itertools
 import time
 from collections.abc import Callable
@@ -35,7 +36,7 @@ def learners():
         [rng.uniform(0, 2, size=HORIZON) for _ in range(episodes)],
         robot="Ant",
     )
-    object.__setattr__(dataset, "episode_dynamics", np.arange(episodes) % 20)
+    dataset = dataclasses.replace(dataset, episode_dynamics=np.arange(episodes) % 20)
     spec, made = RobotSpec.of_robot("Ant", dataset.normalization()), {}
     for name in COMPARED:
         config = AGENTS[name][0]().for_robot("Ant")

@@ -1,0 +1,43 @@
+"""Which row a step has: steps are counted through all episodes in order, and rows are those of the flat arrays.
+
+What is here: `StepIndex`. Called by whatever draws steps of a dataset. It must not know what is made of them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynagen_bench.datasets.flat import OfflineDataset
+
+
+class Places(NamedTuple):
+    """Where steps (...) are."""
+
+    episodes: NDArray[np.int64]
+    """(...), number of the episode."""
+    timesteps: NDArray[np.int64]
+    """(...), steps of the episode before it."""
+    rows: NDArray[np.int64]
+    """(...), row of the dataset's arrays."""
+
+
+class StepIndex:
+    """The steps of a dataset, any of which is found in no time.
+
+    Attributes:
+        ends: (E,) int64, number of steps up to the end of each episode.
+    """
+
+    def __init__(self, dataset: OfflineDataset) -> None:
+        """Raises ValueError for data without steps."""
+        if dataset.num_steps == 0:
+            raise ValueError(f"the {dataset.split} data of {dataset.robot} have no steps to sample")
+        self._starts, self._lengths = dataset.episode_starts, dataset.episode_lengths
+        self.ends = np.cumsum(self._lengths)
+
+    def find(self, steps: NDArray[np.int64]) -> Places:
+        """The places of steps (...)."""
+        episodes = np.searchsorted(self.ends, steps, side="right")
+        timesteps = steps - (self.ends[episodes] - self._lengths[episodes])
+        return Places(episodes, timesteps, self._starts[episodes] + timesteps)
