@@ -32,12 +32,13 @@ demo: $(INSTALLED)  ## rebuild a part of Hopper's data, train three agents on it
 test: $(INSTALLED)  ## all tests, a file on one of all processors
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
-check: $(INSTALLED)  ## format, lint, types, layers, the leaderboard's pages and entries
+check: $(INSTALLED)  ## format, lint, types, layers, the pages that are made, the leaderboard's entries
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m leaderboard build --check
+	$(BIN)/python -m results build --check
 	$(BIN)/python -m leaderboard verify --all
 
 benchmark: $(INSTALLED)  ## speeds, as ratios within one run

@@ -1,0 +1,67 @@
+"""The command line: `python -m results keep RUN... --group reference`, `keep-compute`, `build`, `build --check`."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from dynagen_bench.whole import whole_file
+from results.kept import REFERENCE, keep, keep_compute
+from results.page import pages
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def _keep(runs: Annotated[list[Path], tyro.conf.Positional], group: str = REFERENCE) -> None:
+    """Keep what matters of finished runs: config, curves, next-state errors; no weights.
+
+    Args:
+        runs: their folders.
+        group: what they belong to: `reference`, or what they vary.
+    """
+    for place in keep(runs, group):
+        print(f"kept: {place}")
+
+
+def _keep_compute(benchmark: Annotated[Path, tyro.conf.Positional]) -> None:
+    """Keep the times of the compute comparison.
+
+    Args:
+        benchmark: what `python -m pytest tests/benchmarks/test_compute.py --benchmark-only --benchmark-json` wrote.
+    """
+    print(f"kept: {keep_compute(benchmark)}")
+
+
+def _build(check: tyro.conf.FlagCreatePairsOff[bool] = False) -> None:
+    """Make docs/results.md and its drawings from the board's entries and the kept runs.
+
+    Args:
+        check: Write nothing; end with status 1 if one of them is not what would be written.
+    """
+    for name, text in pages().items():
+        path = DOCS / name
+        if path.is_file() and path.read_bytes() == text.encode("utf-8"):
+            continue
+        if check:
+            raise ValueError(f"{path} is stale: run `python -m results build`")
+        with whole_file(path) as unfinished:
+            unfinished.write_text(text, encoding="utf-8")
+        print(f"wrote {path}")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command; what is wrong is said in one line."""
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            {"keep": _keep, "keep-compute": _keep_compute, "build": _build},
+            prog="python -m results",
+            description="The reference results: keep runs, and make docs/results.md.",
+            args=arguments,
+        )
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {error}")
+
+
+if __name__ == "__main__":
+    main()

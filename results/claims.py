@@ -1,0 +1,176 @@
+"""What the paper claims, and whether it holds here: a line each, with the evidence.
+
+What is here: `claims`. Called by the page. It must not know how a page looks.
+
+A comparison of two methods is the probability that a run of the one is better than a run of the other in the same test
+dynamics (Agarwal et al., 2021; docs/statistics.md). A claim holds where its 95 % interval lies above one half, does not
+where it lies below, and is undecided in between. Of few runs such an interval is too narrow: it says the least that is
+unknown.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+
+from agents.summary.runs import Run
+from dynagen_bench import ids
+from leaderboard.entries import Entry
+from leaderboard.standings import task_scores
+from leaderboard.statistics import Estimate, Scores, improvement
+from results.kept import Errors
+
+Verdict = Literal["holds", "does not hold", "undecided", "not run"]
+
+EQUAL: Final = (0.25, 0.75)
+"""Two methods are told to do the same where the interval of their comparison holds one half and lies in here."""
+
+
+class Evidence(NamedTuple):
+    """One comparison."""
+
+    what: str
+    """`DADT > DT`."""
+    estimate: Estimate | None
+    """The probability; None where one of the two has not been run."""
+    robots: tuple[str, ...]
+    """That both have been run on."""
+    runs: int
+    """Of the one that has fewest on some robot."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Of this comparison alone."""
+        if self.estimate is None:
+            return "not run"
+        if self.estimate.interval is None:
+            return "undecided"
+        low, high = self.estimate.interval
+        return "holds" if low > 0.5 else "does not hold" if high < 0.5 else "undecided"
+
+
+class Claim(NamedTuple):
+    """A sentence of the paper, and what it comes to here."""
+
+    text: str
+    source: str
+    """Table or section of the paper."""
+    verdict: Verdict
+    evidence: tuple[Evidence, ...]
+
+
+def claims(entries: Sequence[Entry], errors: Sequence[Errors], groups: Mapping[str, Sequence[Run]]) -> list[Claim]:
+    """All of them, in the paper's order.
+
+    Args:
+        entries: of the board.
+        errors: next-state errors of kept runs.
+        groups: kept runs; of `next-state-weight` and `low-quality`.
+    """
+    scores = {entry.slug: task_scores(entry.submission) for entry in entries}
+    zero = {name: scores.get(f"{slug}-zero-shot-last") for name, slug in SLUGS.items()}
+    adapted = {name: scores.get(f"{slug}-adaptation-last") for name, slug in SLUGS.items()}
+    low = final_scores(groups.get("low-quality", ()), "agent")
+    weights = final_scores(groups.get("next-state-weight", ()), "next_state_weight")
+    error = error_scores(errors)
+    return [
+        _all("DADT acts best without adaptation", "Table 1", *(_than(zero, "DADT", name) for name in _BASELINES)),
+        _all("DADT acts best after adaptation", "Table 1", _than(adapted, "DADT", "MerPO")),
+        _all(
+            "DADT without adaptation is above adapted baselines",
+            "Section 5.2",
+            _compared("DADT > MerPO, adapted", zero["DADT"], adapted["MerPO"]),
+        ),
+        _all("Predicting next states makes a Decision Transformer act better", "Table 2", _than(zero, "DADT", "DT")),
+        _all(
+            "Conditioning on returns acts better than cloning",
+            "Table 2",
+            _than(zero, "DT", "Transformer-BC"),
+            _than(zero, "DADT", "Transformer-BC"),
+        ),
+        _all(
+            "Joint training predicts next states better than a head on a frozen DT",
+            "Table 3",
+            _than(error, "DADT", "DT+"),
+        ),
+        _all(
+            "A transformer predicts next states best",
+            "Figure 4",
+            *(_than(error, "DADT", name) for name in ("MLP", "LSTM", "CaDM")),
+        ),
+        _all(
+            "DADT acts best on low-quality data",
+            "Figure 5",
+            *(_than(low, "dadt", name) for name in ("dt", "transformer_bc")),
+        ),
+        _robust(weights),
+    ]
+
+
+SLUGS: Final = {
+    "FOCAL": "focal",
+    "MerPO": "merpo",
+    "Trajectory Transformer": "trajectory-transformer",
+    "Transformer-BC": "transformer-bc",
+    "DT": "dt",
+    "DADT": "dadt",
+}
+"""Name in the paper → how the board calls our entry of it."""
+
+PREDICTORS: Final = {"dt_plus": "DT+", "dadt": "DADT", "mlp": "MLP", "lstm": "LSTM", "cadm": "CaDM"}
+"""What predicts next states → its name in the paper."""
+
+_BASELINES: Final = ("FOCAL", "MerPO")
+
+
+def final_scores(runs: Sequence[Run], fact: str) -> dict[str, Scores]:
+    """Value of a fact → the last test scores of the runs that have it, (R, 1) by robot."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for run in runs:
+        curve = run.curves.get("test_score")
+        if curve and fact in run.facts:
+            found.setdefault(str(run.facts[fact]), {}).setdefault(run.facts["robot"], []).append(curve[max(curve)])
+    return {value: {robot: np.array(of)[:, None] for robot, of in robots.items()} for value, robots in found.items()}
+
+
+def error_scores(errors: Sequence[Errors]) -> dict[str, Scores]:
+    """Name in the paper → its errors by robot, negative: more is better."""
+    return {
+        name: {one.robot: -one.values for one in errors if one.agent == agent} for agent, name in PREDICTORS.items()
+    }
+
+
+def _than(scores: Mapping[str, Scores | None], name: str, other: str) -> Evidence:
+    return _compared(f"{name} > {other}", scores.get(name), scores.get(other))
+
+
+def _compared(what: str, scores: Scores | None, others: Scores | None) -> Evidence:
+    shared = tuple(robot for robot in ids.ROBOTS if robot in (scores or {}) and robot in (others or {}))
+    if scores is None or others is None or not shared:
+        return Evidence(what, None, (), 0)
+    runs = min(len(side[robot]) for side in (scores, others) for robot in shared)
+    return Evidence(what, improvement(scores, others), shared, runs)
+
+
+def _all(text: str, source: str, *evidence: Evidence) -> Claim:
+    """A claim that holds where all of its comparisons do, and does not where one does not."""
+    found = {one.verdict for one in evidence}
+    order: tuple[Verdict, ...] = ("does not hold", "not run", "undecided", "holds")
+    return Claim(text, source, next(verdict for verdict in order if verdict in found), evidence)
+
+
+def _robust(weights: Mapping[str, Scores]) -> Claim:
+    """λ makes no difference: the best of its values is no better than the worst."""
+    text, source = "The weight of the next state's error hardly matters", "Table 4"
+    if len(weights) < 2:
+        return Claim(text, source, "not run", (Evidence("best λ > worst λ", None, (), 0),))
+    means = {value: float(np.mean([of.mean() for of in scores.values()])) for value, scores in weights.items()}
+    best, worst = (end(means, key=lambda value: means[value]) for end in (max, min))
+    one = _compared(f"λ = {best} > λ = {worst}", weights[best], weights[worst])
+    low, high = (one.estimate and one.estimate.interval) or (0.0, 1.0)
+    verdict: Verdict = "undecided"
+    if low > 0.5:
+        verdict = "does not hold"
+    elif low >= EQUAL[0] and high <= EQUAL[1]:
+        verdict = "holds"
+    return Claim(text, source, verdict, (one,))

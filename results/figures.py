@@ -1,0 +1,139 @@
+"""The drawings of the page, as SVG that is readable on a light and on a dark page.
+
+What is here: `learning_curves` and `error_bars`, each the text of one file. Called by the page. It must not know files.
+"""
+
+import html
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from agents.summary.charts import Scale, band, curve_of, line, scale_of
+from agents.summary.intervals import Estimate
+
+WIDTH, HEIGHT = 560, 240
+"""Of the drawing area."""
+
+LEFT, TOP, RIGHT, BOTTOM = 60, 64, 190, 44
+"""Around it; names stand at the right."""
+
+COLOURS: Final = (
+    ("#0969da", "#58a6ff"),
+    ("#c2500a", "#f0883e"),
+    ("#1a7f37", "#3fb950"),
+    ("#8250df", "#bc8cff"),
+    ("#bf3989", "#f778ba"),
+    ("#7d6608", "#d4a72c"),
+    ("#57606a", "#9198a1"),
+)
+"""On a light and on a dark page."""
+
+_STYLE: Final = """
+  text { font: 12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; fill: #57606a }
+  .title { font-size: 16px; font-weight: 600; fill: #1f2328 } .end { text-anchor: end } .middle { text-anchor: middle }
+  .page { fill: #ffffff } .panel { fill: #f6f8fa } .grid { stroke: #d8dee4 }
+  .line { fill: none; stroke-width: 2; stroke-linejoin: round } .band { fill-opacity: 0.15; stroke: none }
+  .whisker { stroke-width: 2 }
+"""
+_DARK: Final = """
+    text { fill: #9198a1 } .title { fill: #f0f6fc } .page { fill: #0d1117 } .panel { fill: #151b23 }
+    .grid { stroke: #2a313c }
+"""
+
+
+def learning_curves(robot: str, curves: Mapping[str, Sequence[Mapping[int, float]]]) -> str:
+    """SVG of scores in the test dynamics by gradient steps: mean over runs, and its 95 % interval as a band.
+
+    Args:
+        robot: for the title.
+        curves: agent → steps → score, of each of its runs; an agent without common steps is left out.
+    """
+    points = {agent: curve_of(runs) for agent, runs in curves.items() if runs and runs[0]}
+    x = Scale(0.0, float(max(curve[-1].step for curve in points.values())))
+    y = scale_of(points.values(), may_bend=False)
+    parts = []
+    for number, curve in enumerate(points.values()):
+        area = band(curve, x, y)
+        if area is not None:
+            parts.append(f'<polygon class="band fill{number}" points="{_stretched(area)}"/>')
+        parts.append(f'<polyline class="line stroke{number}" points="{_stretched(line(curve, x, y))}"/>')
+    parts += [_x_label(x.at(tick), f"{tick:,.0f}") for tick in x.ticks]
+    parts.append(f'<text class="middle" x="{WIDTH / 2:g}" y="{HEIGHT + 36}">gradient steps</text>')
+    about = "Score in the test dynamics, mean over runs with its 95 % interval"
+    return _drawing(f"{robot}: learning curves", about, y, [_grid(y), *parts, _key(list(points))])
+
+
+def error_bars(robot: str, errors: Mapping[str, Estimate]) -> str:
+    """SVG of next-state errors, the paper's Figure 4: mean over runs, and its 95 % interval as a whisker.
+
+    Args:
+        robot: for the title.
+        errors: agent → mean square error of normalised next states.
+    """
+    ends = [end for one in errors.values() for end in (one.mean, *(one.interval or ())) if end > 0]
+    y = Scale(min(ends) / 1.5, max(ends) * 1.5, logarithmic=True)
+    parts = []
+    for number, (agent, one) in enumerate(errors.items()):
+        x = 100 * (number + 0.5) / len(errors)
+        across, down = x * WIDTH / 100, HEIGHT - y.at(one.mean) * HEIGHT / 100
+        if one.interval is not None:
+            low, high = (HEIGHT - y.at(end) * HEIGHT / 100 for end in one.interval)
+            parts.append(f'<path class="whisker stroke{number}" d="M{across:g} {low:g}V{high:g}"/>')
+        parts.append(f'<circle class="fill{number}" cx="{across:g}" cy="{down:g}" r="5"/>')
+        parts.append(_x_label(x, agent))
+    about = "Mean square error of normalised next states in the test dynamics, logarithmic; less is better"
+    return _drawing(f"{robot}: next-state errors", about, y, [_grid(y), *parts])
+
+
+def _drawing(title: str, about: str, y: Scale, inside: Sequence[str]) -> str:
+    width, height = LEFT + WIDTH + RIGHT, TOP + HEIGHT + BOTTOM
+    light, dark = (
+        " ".join(
+            f".fill{n} {{ fill: {pair[which]} }} .stroke{n} {{ stroke: {pair[which]} }}"
+            for n, pair in enumerate(COLOURS)
+        )
+        for which in (0, 1)
+    )
+    return "\n".join(
+        [
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" aria-label="{title}">',
+            f"<title>{title}</title>",
+            f"<desc>{html.escape(about)}</desc>",
+            f"<style>{_STYLE}{light} @media (prefers-color-scheme: dark) {{{_DARK}{dark} }}</style>",
+            f'<rect class="page" width="{width}" height="{height}" rx="8"/>',
+            f'<text class="title" x="{LEFT}" y="28">{title}</text>',
+            f'<text x="{LEFT}" y="48">{html.escape(about)}</text>',
+            f'<g transform="translate({LEFT} {TOP})">',
+            f'<rect class="panel" width="{WIDTH}" height="{HEIGHT}"/>',
+            *inside,
+            "</g>",
+            "</svg>",
+            "",
+        ]
+    )
+
+
+def _grid(y: Scale) -> str:
+    parts = []
+    for tick in y.ticks:
+        down = round(HEIGHT - y.at(tick) * HEIGHT / 100, 1)
+        parts.append(f'<path class="grid" d="M0 {down:g}H{WIDTH}"/>')
+        parts.append(f'<text class="end" x="-8" y="{down + 4:g}">{tick:g}</text>')
+    return "".join(parts)
+
+
+def _x_label(place: float, text: str) -> str:
+    return f'<text class="middle" x="{place * WIDTH / 100:g}" y="{HEIGHT + 18}">{html.escape(text)}</text>'
+
+
+def _key(names: Sequence[str]) -> str:
+    return "".join(
+        f'<rect class="fill{n}" x="{WIDTH + 14}" y="{8 + 20 * n}" width="12" height="12" rx="2"/>'
+        f'<text x="{WIDTH + 32}" y="{18 + 20 * n}">{html.escape(name)}</text>'
+        for n, name in enumerate(names)
+    )
+
+
+def _stretched(points: str) -> str:
+    """Places in a drawing of 100 × 100, "x,y x,y …", as places in the drawing area."""
+    pairs = (point.split(",") for point in points.split())
+    return " ".join(f"{float(x) * WIDTH / 100:.6g},{float(y) * HEIGHT / 100:.6g}" for x, y in pairs)

@@ -1,0 +1,130 @@
+"""Runs that are kept in the repository: without weights and traces, which are made again by the commands they tell.
+
+What is here: `keep`, and reading what is kept: curves, next-state errors, the steps of adaptation, times of the compute
+benchmark. Called by the command line and the page. It must not know how anything looks.
+
+    results/runs/reference/dadt-Hopper-seed0/
+      config.json            resolved config, settings, command, commit, versions
+      curves.csv             the learning curves
+      prediction.json        next-state errors in the test dynamics, of what predicts
+      adaptation-curve.csv   returns by steps of fine-tuning, of runs that held out train dynamics
+    results/compute.json     group of tests/benchmarks/test_compute.py → name → seconds
+"""
+
+import csv
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.prediction import PREDICTION
+from agents.run_folder import read_json, write_json
+from agents.summary.runs import Run, read_runs
+from dynagen_bench.whole import whole_file
+
+FOLDER: Final = Path(__file__).parent
+
+REFERENCE: Final = "reference"
+"""The group of runs behind the board's entries and the table of errors; others are named by what they vary."""
+
+ADAPTATION_CURVE: Final = "adaptation-curve.csv"
+
+_COPIED: Final = ("curves.csv", PREDICTION, ADAPTATION_CURVE)
+
+_OF_A_MACHINE: Final = ("runs", "name", "threads")
+"""Settings that say where a run was made, and nothing about it."""
+
+
+class Errors(NamedTuple):
+    """Next-state errors of the runs of one agent on one robot."""
+
+    agent: str
+    robot: str
+    values: NDArray[np.float64]
+    """(R, M) mean square errors of R runs in M test dynamics."""
+
+
+def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
+    """Copy what is kept of finished runs; a run of the same name is replaced. Returns the folders.
+
+    Raises:
+        FileNotFoundError: a folder is no run that has trained.
+        ValueError: a run is not of committed code: nobody could make it again.
+    """
+    kept = []
+    for run in runs:
+        if not (run / "config.json").is_file() or not (run / "curves.csv").is_file():
+            raise FileNotFoundError(f"{run} is no run, it has no config.json and curves.csv: train it first")
+        about = read_json(run / "config.json")
+        commit = about.get("commit")
+        if not commit or commit.endswith("-dirty"):
+            raise ValueError(f"{run} was made by {commit or 'no commit'}: commit the code and train it again")
+        settings = {key: value for key, value in about["settings"].items() if key not in _OF_A_MACHINE}
+        place = folder / "runs" / group / run.name
+        write_json(place / "config.json", about | {"settings": settings})
+        for name in _COPIED:
+            if (run / name).is_file():
+                with whole_file(place / name) as unfinished:
+                    shutil.copyfile(run / name, unfinished)
+        kept.append(place)
+    return kept
+
+
+def keep_compute(benchmark: Path, folder: Path = FOLDER) -> Path:
+    """Take the times out of pytest-benchmark's JSON of `tests/benchmarks/test_compute.py`; raises ValueError if none.
+
+    What is kept: name of the test → name of the agent → least processor seconds.
+    """
+    found = {
+        run["name"]: run["extra_info"]["seconds"]
+        for run in read_json(benchmark)["benchmarks"]
+        if run["fullname"].startswith("tests/benchmarks/test_compute.py")
+    }
+    if not found:
+        raise ValueError(f"{benchmark} has no run of tests/benchmarks/test_compute.py: give one that has")
+    write_json(folder / "compute.json", found)
+    return folder / "compute.json"
+
+
+def kept_runs(group: str, folder: Path = FOLDER) -> list[Run]:
+    """The runs of a group by name; none if there is no such group."""
+    return read_runs(folder / "runs" / group)
+
+
+def kept_errors(group: str = REFERENCE, folder: Path = FOLDER) -> list[Errors]:
+    """The next-state errors of a group's runs, by agent and robot.
+
+    Raises:
+        ValueError: runs of one agent and robot were measured in other data.
+    """
+    found: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for path in sorted((folder / "runs" / group).glob(f"*/{PREDICTION}")):
+        record = read_json(path)
+        found.setdefault((record["agent"], record["prediction"]["robot"]), []).append(record)
+    for (agent, robot), records in found.items():
+        ways = {json.dumps([record["every"], record["episodes"], record["gradient_steps"]]) for record in records}
+        if len(ways) > 1:
+            raise ValueError(f"the errors of {agent} on {robot} were measured in different ways: {sorted(ways)}")
+    return [
+        Errors(agent, robot, np.array([record["prediction"]["errors"] for record in records]))
+        for (agent, robot), records in found.items()
+    ]
+
+
+def adaptation_curves(group: str, folder: Path = FOLDER) -> dict[str, dict[int, float]]:
+    """Name of a run → steps of fine-tuning → mean return in the train dynamics that it held out."""
+    found = {}
+    for path in sorted((folder / "runs" / group).glob(f"*/{ADAPTATION_CURVE}")):
+        with path.open(newline="", encoding="utf-8") as file:
+            found[path.parent.name] = {int(row["steps"]): float(row["mean_return"]) for row in csv.DictReader(file)}
+    return found
+
+
+def compute_times(folder: Path = FOLDER) -> Mapping[str, Mapping[str, float]]:
+    """What `keep_compute` kept; nothing if it has not."""
+    path = folder / "compute.json"
+    return read_json(path) if path.is_file() else {}

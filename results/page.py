@@ -1,0 +1,154 @@
+"""docs/results.md: what was run, at what budget, and what it says of the paper's tables, figures and claims.
+
+What is here: `pages`, the text of the page and of its drawings. Called by the command line. It must not compute scores.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from agents.summary.runs import Run
+from dynagen_bench import ids
+from leaderboard.board import BOARD
+from leaderboard.entries import Entry, read_entries
+from results import tables
+from results.claims import PREDICTORS, claims
+from results.figures import error_bars, learning_curves
+from results.kept import FOLDER, REFERENCE, Errors, adaptation_curves, compute_times, kept_errors, kept_runs
+
+PAGE: Final = "results.md"
+
+CHOSEN: Final = {
+    "learning-rate": "The learning rate of the transformers",
+    "adaptation": "The runs whose adaptation is measured below",
+}
+"""Group of kept runs that hold out train dynamics → what was chosen by them."""
+
+VARIED: Final = ("next-state-weight", "low-quality")
+"""Groups of kept runs of the paper's Table 4 and Figure 5."""
+
+INTRODUCTION: Final = """\
+# Reference results
+
+Made by `python -m results build` from the board's entries ([LEADERBOARD.md](../leaderboard/LEADERBOARD.md), which has
+every score replayed) and from the kept runs in [results/runs](../results/runs); changes by hand are lost.
+
+Ours are means over runs ± their sample standard deviation, the paper's its own. The paper's dynamics are other draws,
+its behaviour policies others, and its budget a million gradient steps: orderings can be compared, values cannot. Robots
+without a number have not been run. Every number is of the last checkpoint; the paper reports the best one on the test
+dynamics.
+"""
+
+CLAIMS: Final = """\
+## The paper's claims
+
+The number is the probability that a run of the one is better than a run of the other in the same test dynamics, with a
+95 % interval over runs ([statistics.md](statistics.md)). A claim *holds* where the interval lies above one half, *does
+not hold* where it lies below, for one of its comparisons, and is *undecided* in between. Where all runs of the one are
+above all of the other in every dynamics, the interval has no width: that says more of how few runs there are than of
+how sure it is.
+"""
+
+ERRORS: Final = """\
+## Next-state errors
+
+The counterpart of the paper's Table 3 and Figure 4: mean square error of the normalised next state, one step ahead, in
+windows of K steps that tile 200 episodes of each test dynamics; the mean over its elements, steps and dynamics. The
+paper names neither its units nor its horizon.
+"""
+
+CHOICES: Final = """\
+## How hyperparameters were chosen
+
+By train dynamics that the runs held out (`--hold-out 4`), never by test dynamics.
+"""
+
+COMPUTE: Final = """\
+## Compute
+
+The counterpart of the paper's Figure 3, from one run of `python -m pytest tests/benchmarks/test_compute.py
+--benchmark-only` on one thread of a processor, with each agent's own defaults; the paper's is of a GPU and says “about
+6x less time” of DADT beside FOCAL and MerPO.
+"""
+
+
+def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
+    """Name of a file in docs/ → its text; the same for the same entries and kept runs.
+
+    Raises:
+        FileNotFoundError: there is no board.
+        ValueError: an entry, or a kept run, is not what was written.
+    """
+    entries, errors, runs = read_entries(board), kept_errors(folder=folder), kept_runs(REFERENCE, folder)
+    figures = {name: text for robot in ids.ROBOTS for name, text in _figures(robot, runs, errors).items()}
+    parts = [
+        INTRODUCTION,
+        CLAIMS,
+        tables.verdicts(claims(entries, errors, {group: kept_runs(group, folder) for group in VARIED})),
+        *_scores(entries),
+        *_pictures(figures, "curves"),
+        ERRORS,
+        tables.errors(errors),
+        *_pictures(figures, "errors"),
+        *_choices(folder),
+        *_compute(folder),
+        "## What was run\n",
+        tables.training(runs),
+    ]
+    return {PAGE: "\n".join(parts), **figures}
+
+
+def _scores(entries: Sequence[Entry]) -> list[str]:
+    return [
+        "## Scores without adaptation\n\nThe counterpart of the paper's Tables 1 and 2.\n",
+        tables.scores(entries, "zero-shot"),
+        "## Scores after adaptation\n\nThe counterpart of the lower half of its Table 1. FOCAL takes no gradient step: "
+        "it is given the\nepisodes that the others are fine-tuned on.\n",
+        tables.scores(entries, "adaptation"),
+    ]
+
+
+def _figures(robot: str, runs: Sequence[Run], errors: Sequence[Errors]) -> dict[str, str]:
+    """File → SVG, of a robot that there are runs of."""
+    found = {}
+    curves: dict[str, list[Mapping[int, float]]] = {}
+    for run in runs:
+        if run.about["settings"]["robot"] == robot and run.curves.get("test_score"):
+            curves.setdefault(run.about["agent"], []).append(run.curves["test_score"])
+    common = {agent: set.intersection(*(set(curve) for curve in own)) for agent, own in curves.items()}
+    kept = {agent: [{s: curve[s] for s in sorted(common[agent])} for curve in own] for agent, own in curves.items()}
+    if any(common.values()):
+        found[f"results/{robot.lower()}-curves.svg"] = learning_curves(robot, kept)
+    own = {name: tables.error_estimates(errors, agent).get(robot) for agent, name in PREDICTORS.items()}
+    measured = {name: value for name, value in own.items() if value is not None}
+    if measured:
+        found[f"results/{robot.lower()}-errors.svg"] = error_bars(robot, measured)
+    return found
+
+
+def _pictures(figures: Mapping[str, str], kind: str) -> list[str]:
+    names = [name for name in figures if name.endswith(f"-{kind}.svg")]
+    return [f"![{figures[name].split('<title>')[1].split('</title>')[0]}]({name})\n" for name in names]
+
+
+def _choices(folder: Path) -> list[str]:
+    parts = []
+    for group, what in CHOSEN.items():
+        runs = kept_runs(group, folder)
+        if runs:
+            parts += [f"{what}:\n", tables.held_out(runs)]
+        curves = adaptation_curves(group, folder)
+        if curves:
+            parts += ["Mean return by steps of fine-tuning on ten episodes:\n", tables.adaptation(curves)]
+    return [CHOICES, *parts] if parts else []
+
+
+def _compute(folder: Path) -> list[str]:
+    times = compute_times(folder)
+    if not times:
+        return []
+    titles = {
+        "test_gradient_steps": "a gradient step, s",
+        "test_acting_in_ten_episodes": "200 steps of 10 episodes, s",
+    }
+    return [COMPUTE, *(tables.compute(times[name], title) for name, title in titles.items() if name in times)]

@@ -1,0 +1,140 @@
+"""Our counterparts of the paper's tables, in Markdown, with the paper's numbers in a line under ours.
+
+What is here: a function a table. Called by the page. It must not read files.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from agents.summary.builder import final_text
+from agents.summary.intervals import Estimate, estimate
+from agents.summary.runs import Run, grouped
+from dynagen_bench import ids
+from leaderboard.entries import Entry
+from leaderboard.markdown import escape, iqm_text, score_text
+from leaderboard.published import PUBLISHED, PUBLISHED_ERRORS, Score
+from leaderboard.standings import Row, standings
+from results.claims import PREDICTORS, SLUGS, Claim, Evidence
+from results.kept import Errors
+
+
+def scores(entries: Sequence[Entry], track: str) -> str:
+    """Scores of one track by robot, the last checkpoint's, ours and the paper's (its Tables 1 and 2)."""
+    rows: dict[str, Row] = {}
+    for table in standings(entries):
+        if (table.track, table.checkpoint) == (track, "last"):
+            rows = {row.entry.slug: row for row in table.rows}
+    published = {
+        row.agent: row.cells
+        for table in PUBLISHED
+        for row in table.rows
+        if table.title.startswith("Adaptation") == (track == "adaptation")
+    }
+    lines = []
+    for name, slug in SLUGS.items():
+        own = rows.get(f"{slug}-{track}-last")
+        if own is not None:
+            cells = [own.cells.get(robot) for robot in ids.ROBOTS]
+            lines.append([name, *(score_text(cell) for cell in cells)])
+            lines.append(["interquartile mean [95 %]", *(iqm_text(cell) for cell in cells)])
+        if name in published:
+            lines.append([f"*{name}, the paper*", *(_published(cell) for cell in published[name])])
+    return _table(["", *ids.ROBOTS], lines)
+
+
+def errors(found: Sequence[Errors]) -> str:
+    """Next-state errors by robot, ours and the paper's (its Table 3)."""
+    lines = []
+    for agent, name in PREDICTORS.items():
+        own = error_estimates(found, agent)
+        if own:
+            lines.append([name, *(_estimate_text(own.get(robot)) for robot in ids.ROBOTS)])
+        if name in PUBLISHED_ERRORS:
+            published = [f"{mean:.4f} ± {std:.4f}" for mean, std in PUBLISHED_ERRORS[name]]
+            lines.append([f"*{name}, the paper*", *published])
+    return _table(["", *ids.ROBOTS], lines)
+
+
+def error_estimates(found: Sequence[Errors], agent: str) -> dict[str, Estimate]:
+    """Robot → the mean over runs of an agent's errors, each the mean over its test dynamics."""
+    return {one.robot: estimate(one.values.mean(axis=1).tolist()) for one in found if one.agent == agent}
+
+
+def verdicts(found: Iterable[Claim]) -> str:
+    """The claims of the paper, and what they come to here."""
+    lines = [
+        [claim.text, claim.source, f"**{claim.verdict}**", "; ".join(_evidence(one) for one in claim.evidence)]
+        for claim in found
+    ]
+    return _table(["The paper claims", "where", "here", "probability [95 % interval]"], lines, numbers=False)
+
+
+def training(runs: Sequence[Run]) -> str:
+    """What the runs were trained with, a line for runs that differ in their seed alone, and what that took."""
+    lines = []
+    for group in grouped(runs):
+        first, hours = group.runs[0], [run.hours for run in group.runs]
+        config, seeds = first.about["config"], ", ".join(str(run.seed) for run in group.runs)
+        rate = f"{config['learning_rate']:g}"
+        if config.get("warmup_steps"):
+            rate += f" after {config['warmup_steps']:,} steps of warm-up"
+        took = f"{60 * sum(hours) / len(hours):.1f} min"
+        commit = f"`{first.about['commit'][:7]}`"
+        cells = [escape(group.label), group.robot, seeds, f"{first.step:,}", f"{config['batch_size']}", rate]
+        lines.append([*cells, took, commit])
+    header = ["agent", "robot", "seeds", "gradient steps", "batch", "learning rate", "a run took", "commit"]
+    return _table(header, lines, numbers=False)
+
+
+def held_out(runs: Sequence[Run]) -> str:
+    """What was chosen by held-out train dynamics: the last validation return of each value tried."""
+    lines = []
+    for group in grouped(runs):
+        returns, losses = (group.curves(name) for name in ("validation_return", "validation_loss"))
+        means = [estimate([curve[max(curve)] for curve in curves]) if curves else None for curves in (returns, losses)]
+        whole = [sum(curve.values()) / len(curve) for curve in returns]
+        overall = estimate(whole) if whole else None
+        lines.append(
+            [escape(group.label), group.robot, *(_estimate_text(one) for one in (means[0], overall, means[1]))]
+        )
+    header = ["agent", "robot", "return at the end", "return, mean over the curve", "loss at the end"]
+    return _table(header, lines)
+
+
+def adaptation(curves: Mapping[str, Mapping[int, float]]) -> str:
+    """Returns in held-out train dynamics by steps of fine-tuning."""
+    steps = sorted({step for curve in curves.values() for step in curve})
+    lines = [
+        [f"`{name}`", *(f"{curve[step]:.1f}" if step in curve else "–" for step in steps)]
+        for name, curve in curves.items()
+    ]
+    return _table(["run", *(f"{step:,}" for step in steps)], lines)
+
+
+def compute(times: Mapping[str, float], published: str) -> str:
+    """Seconds of each agent, and beside DADT's."""
+    lines = [[name, f"{value:.3f}", f"{value / times['dadt']:.2f}"] for name, value in times.items()]
+    return _table(["agent", published, "beside DADT's"], lines)
+
+
+def _published(score: Score | None) -> str:
+    if score is None:
+        return "–"
+    return f"{score.mean:.2f}" if score.std is None else f"{score.mean:.2f} ± {score.std:.2f}"
+
+
+def _estimate_text(value: Estimate | None) -> str:
+    return "–" if value is None else final_text(value)
+
+
+def _evidence(one: Evidence) -> str:
+    if one.estimate is None:
+        return f"{one.what}: not run"
+    text = f"{one.what}: {one.estimate.value:.2f}"
+    if one.estimate.interval is not None:
+        text += " [{:.2f}, {:.2f}]".format(*one.estimate.interval)
+    return f"{text} ({', '.join(one.robots)}; {one.runs} run{'s' * (one.runs != 1)} each)"
+
+
+def _table(header: list[str], rows: list[list[str]], numbers: bool = True) -> str:
+    rule = ["---", *["---:" if numbers else "---"] * (len(header) - 1)]
+    return "".join("| " + " | ".join(row) + " |\n" for row in (header, rule, *rows))

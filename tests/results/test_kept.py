@@ -1,0 +1,66 @@
+"""What is kept of a run, and what is not."""
+
+import json
+
+import numpy as np
+import pytest
+
+from results.kept import adaptation_curves, compute_times, keep, keep_compute, kept_errors, kept_runs
+
+
+def test_a_kept_run_has_its_curves_and_no_weights_nor_paths(trained, tmp_path):
+    (place,) = keep([trained("dadt", errors=[0.1] * 5)], "reference", tmp_path / "kept")
+    assert {path.name for path in place.iterdir()} == {"config.json", "curves.csv", "prediction.json"}
+    assert "somebody" not in (place / "config.json").read_text()
+    (run,) = kept_runs("reference", tmp_path / "kept")
+    assert (run.seed, run.step, run.curves["loss"]) == (0, 200, {100: 1.0, 200: 0.5})
+
+
+def test_errors_are_grouped_by_agent_and_robot(trained, tmp_path):
+    runs = [trained("dadt", seed, errors=[0.1 * (seed + 1)] * 5) for seed in range(2)]
+    keep([*runs, trained("mlp", errors=[0.3] * 5)], "reference", tmp_path)
+    found = {(one.agent, one.robot): one.values for one in kept_errors(folder=tmp_path)}
+    assert np.allclose(found["dadt", "Hopper"], [[0.1] * 5, [0.2] * 5])
+    assert found["mlp", "Hopper"].shape == (1, 5)
+
+
+def test_errors_measured_in_other_data_are_refused(trained, tmp_path):
+    places = keep([trained("dadt", seed, errors=[0.1] * 5) for seed in range(2)], "reference", tmp_path)
+    record = json.loads((places[0] / "prediction.json").read_text())
+    (places[0] / "prediction.json").write_text(json.dumps(record | {"episodes": 10}))
+    with pytest.raises(ValueError, match="the errors of dadt on Hopper were measured in different ways"):
+        kept_errors(folder=tmp_path)
+
+
+@pytest.mark.parametrize("commit", ["a" * 40 + "-dirty", None])
+def test_only_runs_of_committed_code_are_kept(trained, tmp_path, commit):
+    with pytest.raises(ValueError, match="commit the code and train it again"):
+        keep([trained("dadt", commit=commit)], "reference", tmp_path / "kept")
+    assert not (tmp_path / "kept").exists()
+
+
+def test_no_run_no_keeping(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"has no config\.json and curves\.csv"):
+        keep([tmp_path], "reference", tmp_path / "kept")
+
+
+def test_adaptation_curves_by_run(trained, tmp_path):
+    run = trained("dadt", settings={"hold_out": 4})
+    (run / "adaptation-curve.csv").write_text("steps,mean_return,train16,train17\n0,300.5,300,301\n100,310,300,320\n")
+    keep([run], "adaptation", tmp_path / "kept")
+    assert adaptation_curves("adaptation", tmp_path / "kept") == {run.name: {0: 300.5, 100: 310.0}}
+
+
+def test_times_of_the_compute_benchmark(tmp_path):
+    file, name = tmp_path / "run.json", "tests/benchmarks/test_compute.py::test_gradient_steps"
+    runs = [
+        {"name": "test_gradient_steps", "fullname": name, "extra_info": {"seconds": {"dadt": 0.1, "dt": 0.05}}},
+        {"name": "test_other", "fullname": "tests/benchmarks/test_other.py::test_other", "extra_info": {}},
+    ]
+    file.write_text(json.dumps({"benchmarks": runs}))
+    keep_compute(file, tmp_path)
+    assert compute_times(tmp_path) == {"test_gradient_steps": {"dadt": 0.1, "dt": 0.05}}
+    file.write_text(json.dumps({"benchmarks": runs[1:]}))
+    with pytest.raises(ValueError, match=r"no run of tests/benchmarks/test_compute\.py"):
+        keep_compute(file, tmp_path)
+    assert compute_times(tmp_path / "elsewhere") == {}

@@ -1,0 +1,94 @@
+"""docs/results.md: every table, from kept runs and a board; the same bytes again; drawings that are XML."""
+
+import json
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+
+import results.__main__ as command
+from agents.summary.intervals import Estimate
+from leaderboard.board import submit
+from results.figures import error_bars, learning_curves
+from results.kept import keep
+from results.page import PAGE, pages
+from tests.evaluation.samples import traced
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory):
+    """A board with an entry of DADT and one of Decision Transformer: random actions, replayed."""
+    folder = tmp_path_factory.mktemp("board")
+    for agent in ("dadt", "dt"):
+        traced(folder / agent, seeds=(0, 1), agent=agent)
+    return folder
+
+
+@pytest.fixture
+def made(board, trained, tmp_path):
+    """The pages of that board and of some kept runs."""
+    for agent in ("dadt", "dt"):
+        submit(board / agent, tmp_path / "board")
+    runs = [trained("dadt", seed, errors=[0.02] * 5, score=40.0 + seed) for seed in range(2)]
+    keep([*runs, trained("mlp", errors=[0.5] * 5)], "reference", tmp_path / "kept")
+    pilot = trained("dadt", settings={"hold_out": 4}, learning_rate=3e-4)
+    (pilot / "curves.csv").write_text("step,validation_loss,validation_return\n100,0.5,300\n200,0.25,320\n")
+    (pilot / "adaptation-curve.csv").write_text("steps,mean_return\n0,300\n500,310.25\n")
+    keep([pilot], "learning-rate", tmp_path / "kept")
+    times = {"test_gradient_steps": {"dadt": 0.1, "focal": 0.5}}
+    (tmp_path / "kept" / "compute.json").write_text(json.dumps(times))
+    return pages(tmp_path / "board", tmp_path / "kept")
+
+
+def test_the_page_has_every_part(made):
+    page = made[PAGE]
+    assert "| DADT | – | " in page
+    assert "(2 runs)" in page
+    assert "| *DADT, the paper* | 61.12 ± 4.99 | 74.69 ± 4.22 |" in page
+    assert "| DADT | – | 0.02 ± 0 | – | – | – |" in page
+    assert "| MLP | – | 0.5 | – | – | – |" in page
+    assert "| *DT+, the paper* | 0.2314 ± 0.0050 |" in page
+    assert "| dadt | Hopper | 320 | 310 | 0.25 |" in page  # at the end, over the curve, loss at the end
+    assert "| focal | 0.500 | 5.00 |" in page
+    assert "| 300.0 | 310.2 |" in page
+    assert "0.001 after 500 steps of warm-up" in page
+
+
+def test_the_drawings_are_in_the_page_and_are_xml(made):
+    drawings = {name: text for name, text in made.items() if name != PAGE}
+    assert set(drawings) == {"results/hopper-curves.svg", "results/hopper-errors.svg"}
+    for name, text in drawings.items():
+        assert f"]({name})" in made[PAGE]
+        ElementTree.fromstring(text)
+
+
+def test_an_empty_board_and_no_runs_make_a_page(tmp_path):
+    (tmp_path / "board").mkdir()
+    made = pages(tmp_path / "board", tmp_path / "kept")
+    assert list(made) == [PAGE]
+    assert made[PAGE].count("**not run**") == 9
+
+
+def test_check_sees_a_page_that_is_stale(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(command, "DOCS", tmp_path)
+    monkeypatch.setattr(command, "pages", lambda: {PAGE: "old", "results/a.svg": "drawing"})
+    command.main(["build"])
+    command.main(["build", "--check"])
+    assert (tmp_path / "results" / "a.svg").read_text() == "drawing"
+    monkeypatch.setattr(command, "pages", lambda: {PAGE: "new", "results/a.svg": "drawing"})
+    with pytest.raises(SystemExit, match=r"results\.md is stale: run `python -m results build`"):
+        command.main(["build", "--check"])
+    assert (tmp_path / PAGE).read_text() == "old"
+
+
+def test_a_point_of_a_curve_lies_where_it_should():
+    # scores 0 and 100 have a margin of 4 % on either side: 100 is 4/108 below the top of the 240 units
+    drawing = learning_curves("Hopper", {"dt": [{0: 0.0, 100: 100.0}]})
+    (line,) = (part for part in drawing.splitlines() if "polyline" in part)
+    assert 'points="0,231.12 560,8.88"' in line
+
+
+def test_names_are_escaped():
+    text = error_bars("Hopper", {"<b>": Estimate(0.1, None, None), "lstm": Estimate(0.01, 0.001, (0.005, 0.015))})
+    assert "&lt;b&gt;" in text
+    assert "<b>" not in text
+    ElementTree.fromstring(text)
