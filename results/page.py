@@ -100,9 +100,9 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
 
 def _scores(entries: Sequence[Entry]) -> list[str]:
     return [
-        "## Scores without adaptation\n\nThe counterpart of the paper's Tables 1 and 2.\n",
+        "## Scores without adaptation\n\nThe counterpart of the paper's Tables 1, 2 and 7.\n",
         tables.scores(entries, "zero-shot"),
-        "## Scores after adaptation\n\nThe counterpart of the lower half of its Table 1. FOCAL takes no gradient step: "
+        "## Scores after adaptation\n\nThe counterpart of the paper's Tables 1 and 7. FOCAL takes no gradient step: "
         "it is given the\nepisodes that the others are fine-tuned on.\n",
         tables.scores(entries, "adaptation"),
     ]

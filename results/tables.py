@@ -12,22 +12,19 @@ from dynagen_bench import ids
 from leaderboard.entries import Entry
 from leaderboard.markdown import escape, iqm_text, score_text
 from leaderboard.published import PUBLISHED, PUBLISHED_ERRORS, Score
-from leaderboard.standings import Row, standings
+from leaderboard.standings import TRACKS, Row, standings
 from results.claims import PREDICTORS, SLUGS, Claim, Evidence
 from results.kept import Errors
 
 
 def scores(entries: Sequence[Entry], track: str) -> str:
-    """Scores of one track by robot, the last checkpoint's, ours and the paper's (its Tables 1 and 2)."""
+    """Scores of one track by robot, the last checkpoint's, ours and the paper's (its Tables 1, 2 and 7)."""
     rows: dict[str, Row] = {}
     for table in standings(entries):
         if (table.track, table.checkpoint) == (track, "last"):
             rows = {row.entry.slug: row for row in table.rows}
     published = {
-        row.agent: row.cells
-        for table in PUBLISHED
-        for row in table.rows
-        if table.title.startswith("Adaptation") == (track == "adaptation")
+        row.agent: row.cells for table in PUBLISHED for row in table.rows if table.title.startswith(TRACKS[track])
     }
     lines = []
     for name, slug in SLUGS.items():
@@ -119,7 +116,7 @@ def compute(times: Mapping[str, float], published: str) -> str:
 def _published(score: Score | None) -> str:
     if score is None:
         return "–"
-    return f"{score.mean:.2f}" if score.std is None else f"{score.mean:.2f} ± {score.std:.2f}"
+    return f"{score.mean:.2f} ± {score.std:.2f}"
 
 
 def _estimate_text(value: Estimate | None) -> str:
