@@ -17,6 +17,8 @@ know any agent.
       adaptation.safetensors  beside it; adaptation/ holds the dynamics that are done, until all are
       prediction.json         the last checkpoint's next-state errors in the data of the test dynamics: what a predictor
                               has in place of evaluations, and `predict` adds for agents that can
+      evaluation-train.json   returns in train dynamics, beside the untrained agent's and those of random actions
+                              (`agents.evaluate`)
 """
 
 import contextlib

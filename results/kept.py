@@ -7,6 +7,7 @@ benchmark. Called by the command line and the page. It must not know how anythin
       config.json            resolved config, settings, command, commit, versions
       curves.csv             the learning curves
       prediction.json        next-state errors in the test dynamics, of what predicts
+      evaluation-train.json  returns in train dynamics, beside the untrained agent's
       adaptation-curve.csv   returns by steps of fine-tuning, of runs that held out train dynamics
     results/compute.json     group of tests/benchmarks/test_compute.py → name → seconds
 """
@@ -21,6 +22,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.evaluate import LEARNED
 from agents.prediction import PREDICTION
 from agents.run_folder import read_json, write_json
 from agents.summary.runs import Run, read_runs
@@ -33,7 +35,7 @@ REFERENCE: Final = "reference"
 
 ADAPTATION_CURVE: Final = "adaptation-curve.csv"
 
-_COPIED: Final = ("curves.csv", PREDICTION, ADAPTATION_CURVE)
+_COPIED: Final = ("curves.csv", PREDICTION, ADAPTATION_CURVE, LEARNED)
 
 _OF_A_MACHINE: Final = ("runs", "name", "threads")
 """Settings that say where a run was made, and nothing about it."""
@@ -113,6 +115,11 @@ def kept_errors(group: str = REFERENCE, folder: Path = FOLDER) -> list[Errors]:
         Errors(agent, robot, np.array([record["prediction"]["errors"] for record in records]))
         for (agent, robot), records in found.items()
     ]
+
+
+def kept_learning(group: str = REFERENCE, folder: Path = FOLDER) -> list[dict[str, Any]]:
+    """What `agents.evaluate` found of a group's runs, by the runs' names."""
+    return [read_json(path) for path in sorted((folder / "runs" / group).glob(f"*/{LEARNED}"))]
 
 
 def adaptation_curves(group: str, folder: Path = FOLDER) -> dict[str, dict[int, float]]:

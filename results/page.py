@@ -14,7 +14,16 @@ from leaderboard.entries import Entry, read_entries
 from results import tables
 from results.claims import PREDICTORS, claims
 from results.figures import error_bars, learning_curves
-from results.kept import FOLDER, REFERENCE, Errors, adaptation_curves, compute_times, kept_errors, kept_runs
+from results.kept import (
+    FOLDER,
+    REFERENCE,
+    Errors,
+    adaptation_curves,
+    compute_times,
+    kept_errors,
+    kept_learning,
+    kept_runs,
+)
 
 PAGE: Final = "results.md"
 
@@ -57,6 +66,13 @@ windows of K steps that tile 200 episodes of each test dynamics; the mean over i
 paper names neither its units nor its horizon.
 """
 
+LEARNING: Final = """\
+## What is learned at this budget
+
+Mean return of the last checkpoints in train dynamics, of the same agents before their first step, and of random
+actions, in the same ten episodes of each (`python -m agents.evaluate`).
+"""
+
 CHOICES: Final = """\
 ## How hyperparameters were chosen
 
@@ -90,6 +106,7 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
         ERRORS,
         tables.errors(errors),
         *_pictures(figures, "errors"),
+        *_learning(folder),
         *_choices(folder),
         *_compute(folder),
         "## What was run\n",
@@ -106,6 +123,11 @@ def _scores(entries: Sequence[Entry]) -> list[str]:
         "it is given the\nepisodes that the others are fine-tuned on.\n",
         tables.scores(entries, "adaptation"),
     ]
+
+
+def _learning(folder: Path) -> list[str]:
+    records = kept_learning(folder=folder)
+    return [LEARNING, tables.learning(records)] if records else []
 
 
 def _figures(robot: str, runs: Sequence[Run], errors: Sequence[Errors]) -> dict[str, str]:

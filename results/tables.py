@@ -3,8 +3,11 @@
 What is here: a function a table. Called by the page. It must not read files.
 """
 
+import statistics
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
+from agents.evaluate import COMPARED
 from agents.summary.builder import final_text
 from agents.summary.intervals import Estimate, estimate
 from agents.summary.runs import Run, grouped
@@ -95,6 +98,20 @@ def held_out(runs: Sequence[Run]) -> str:
         )
     header = ["agent", "robot", "return at the end", "return, mean over the curve", "loss at the end"]
     return _table(header, lines)
+
+
+def learning(records: Sequence[Mapping[str, Any]]) -> str:
+    """Mean returns in train dynamics over runs, beside those of the untrained agents and of random actions."""
+    groups: dict[tuple[str, str, int, int], list[Mapping[str, Any]]] = {}
+    for record in records:
+        key = record["agent"], record["robot"], record["gradient_steps"], len(record["dynamics"])
+        groups.setdefault(key, []).append(record)
+    lines = []
+    for (agent, robot, steps, dynamics), own in groups.items():
+        means = [estimate([statistics.fmean(record[what]) for record in own]) for what in COMPARED]
+        runs = [f"{len(own)}", f"{steps:,}", f"{dynamics}"]
+        lines.append([escape(agent), robot, *runs, *(_estimate_text(one) for one in means)])
+    return _table(["agent", "robot", "runs", "gradient steps", "train dynamics", *COMPARED], lines)
 
 
 def adaptation(curves: Mapping[str, Mapping[int, float]]) -> str:

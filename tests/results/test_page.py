@@ -34,6 +34,10 @@ def made(board, trained, tmp_path):
     (pilot / "curves.csv").write_text("step,validation_loss,validation_return\n100,0.5,300\n200,0.25,320\n")
     (pilot / "adaptation-curve.csv").write_text("steps,mean_return\n0,300\n500,310.25\n")
     keep([pilot], "learning-rate", tmp_path / "kept")
+    learned = {"agent": "dadt", "robot": "Hopper", "gradient_steps": 200, "dynamics": ["train0", "train1"]}
+    learned |= {"trained": [300, 310], "untrained": [20, 30], "random": [10, 11]}
+    (tmp_path / "kept/runs/reference/dadt/evaluation-train.json").parent.mkdir()
+    (tmp_path / "kept/runs/reference/dadt/evaluation-train.json").write_text(json.dumps(learned))
     times = {"test_gradient_steps": {"dadt": 0.1, "focal": 0.5}}
     (tmp_path / "kept" / "compute.json").write_text(json.dumps(times))
     return pages(tmp_path / "board", tmp_path / "kept")
@@ -50,6 +54,7 @@ def test_the_page_has_every_part(made):
     assert "| dadt | Hopper | 320 | 310 | 0.25 |" in page  # at the end, over the curve, loss at the end
     assert "| focal | 0.500 | 5.00 |" in page
     assert "| 300.0 | 310.2 |" in page
+    assert "| dadt | Hopper | 1 | 200 | 2 | 305 | 25 | 10.5 |" in page
     assert "0.001 after 500 steps of warm-up" in page
 
 

@@ -1,0 +1,54 @@
+"""What a run has learned: the same episodes for the agent, its untrained self and random actions."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from agents.checkpoint import load_checkpoint
+from agents.evaluate import LEARNED, main, measure_learning
+from agents.focal import FOCALConfig
+from agents.train import train
+from agents.trajectory_transformer import TrajectoryTransformerConfig
+from dynagen_bench.datasets import load_dataset
+from dynagen_bench.evaluation import RandomPolicy, evaluate
+from tests.agents.samples import tiny_config
+from tests.agents.test_train import settings
+
+STILL = {"steps": 1, "learning_rate": 0.0, "batch_size": 4, "context": 5}
+CONFIGS = {
+    "dadt": dataclasses.replace(tiny_config("dadt"), **STILL),
+    "focal": FOCALConfig(**{key: value for key, value in STILL.items() if key != "context"}, hidden=8),
+    "trajectory_transformer": TrajectoryTransformerConfig(
+        **STILL, layers=1, heads=1, embedding=8, bins=8, horizon=2, beams=2, plan_every=2
+    ),
+}
+
+
+@pytest.mark.usefixtures("tiny_data")
+@pytest.mark.parametrize("name", CONFIGS)
+def test_who_has_learned_nothing_does_what_the_untrained_do(name, tmp_path):
+    run = train(name, CONFIGS[name], settings(tmp_path, evaluate_every=0), load_dataset("Hopper", "train"))
+    record = measure_learning(run, dynamics=2)
+    assert json.loads((run / LEARNED).read_text()) == record
+    assert record["dynamics"] == ["train0", "train1"]
+    assert record["trained"] == record["untrained"] != record["random"]
+
+
+@pytest.mark.usefixtures("tiny_data")
+def test_the_numbers_are_those_of_evaluate(tmp_path, capsys):
+    config = dataclasses.replace(CONFIGS["dadt"], steps=3, learning_rate=0.01)
+    run = train("dadt", config, settings(tmp_path, seed=3, evaluate_every=0), load_dataset("Hopper", "train"))
+    main([str(run), "--dynamics", "1"])
+    record = json.loads((run / LEARNED).read_text())
+    agent = load_checkpoint(run / "last.safetensors").build_agent()
+    for what, policy in (("trained", agent.policy()), ("random", RandomPolicy("Hopper", 3))):
+        assert np.allclose(record[what], evaluate(policy, "Hopper", "train", indices=[0]).returns.mean(axis=1))
+    assert record["trained"] != record["untrained"]
+    assert "dadt, Hopper, seed 3" in capsys.readouterr().out
+
+
+def test_bad_input_is_one_line(tmp_path):
+    with pytest.raises(SystemExit, match=r"error: .* is no finished run"):
+        main([str(tmp_path)])
