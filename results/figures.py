@@ -7,7 +7,7 @@ import html
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from agents.summary.charts import Scale, band, curve_of, line, scale_of
+from agents.summary.charts import Scale, curve_of, line, scale_of
 from agents.summary.intervals import Estimate
 
 WIDTH, HEIGHT = 560, 240
@@ -31,7 +31,8 @@ _STYLE: Final = """
   text { font: 12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; fill: #57606a }
   .title { font-size: 16px; font-weight: 600; fill: #1f2328 } .end { text-anchor: end } .middle { text-anchor: middle }
   .page { fill: #ffffff } .panel { fill: #f6f8fa } .grid { stroke: #d8dee4 }
-  .line { fill: none; stroke-width: 2; stroke-linejoin: round } .band { fill-opacity: 0.15; stroke: none }
+  .line { fill: none; stroke-width: 2.5; stroke-linejoin: round }
+  .run { fill: none; stroke-width: 1; stroke-opacity: 0.4; stroke-linejoin: round }
   .whisker { stroke-width: 2 }
 """
 _DARK: Final = """
@@ -41,25 +42,26 @@ _DARK: Final = """
 
 
 def learning_curves(robot: str, curves: Mapping[str, Sequence[Mapping[int, float]]]) -> str:
-    """SVG of scores in the test dynamics by gradient steps: mean over runs, and its 95 % interval as a band.
+    """SVG of scores in the test dynamics by gradient steps: each run a thin line, their mean a thick one.
 
     Args:
         robot: for the title.
         curves: agent → steps → score, of each of its runs; an agent without common steps is left out.
     """
-    points = {agent: curve_of(runs) for agent, runs in curves.items() if runs and runs[0]}
-    x = Scale(0.0, float(max(curve[-1].step for curve in points.values())))
-    y = scale_of(points.values(), may_bend=False)
-    parts = []
-    for number, curve in enumerate(points.values()):
-        area = band(curve, x, y)
-        if area is not None:
-            parts.append(f'<polygon class="band fill{number}" points="{_stretched(area)}"/>')
-        parts.append(f'<polyline class="line stroke{number}" points="{_stretched(line(curve, x, y))}"/>')
+    means = {agent: curve_of(runs) for agent, runs in curves.items() if runs and runs[0]}
+    singles = {agent: [curve_of([run]) for run in curves[agent]] for agent in means}
+    every = [curve for own in singles.values() for curve in own]
+    x, y = Scale(0.0, float(max(curve[-1].step for curve in every))), scale_of(every, may_bend=False)
+    parts = [
+        f'<polyline class="{kind} stroke{number}" points="{_stretched(line(curve, x, y))}"/>'
+        for kind, drawn in (("run", singles), ("line", {agent: [curve] for agent, curve in means.items()}))
+        for number, own in enumerate(drawn.values())
+        for curve in own
+    ]
     parts += [_x_label(x.at(tick), f"{tick:,.0f}") for tick in x.ticks]
     parts.append(f'<text class="middle" x="{WIDTH / 2:g}" y="{HEIGHT + 36}">gradient steps</text>')
-    about = "Score in the test dynamics, mean over runs with its 95 % interval"
-    return _drawing(f"{robot}: learning curves", about, y, [_grid(y), *parts, _key(list(points))])
+    about = "Score in the test dynamics: each run, and the mean over runs"
+    return _drawing(f"{robot}: learning curves", about, y, [_grid(y), *parts, _key(list(means))])
 
 
 def error_bars(robot: str, errors: Mapping[str, Estimate]) -> str:

@@ -87,9 +87,11 @@ def test_check_sees_a_page_that_is_stale(tmp_path, monkeypatch, capsys):
 
 def test_a_point_of_a_curve_lies_where_it_should():
     # scores 0 and 100 have a margin of 4 % on either side: 100 is 4/108 below the top of the 240 units
-    drawing = learning_curves("Hopper", {"dt": [{0: 0.0, 100: 100.0}]})
-    (line,) = (part for part in drawing.splitlines() if "polyline" in part)
-    assert 'points="0,231.12 560,8.88"' in line
+    drawing = learning_curves("Hopper", {"dt": [{0: 0.0, 100: 100.0}, {0: 0.0, 100: 0.0}]})
+    lines = [part for part in drawing.splitlines() if "polyline" in part]
+    assert [line.count('class="run') for line in lines] == [1, 1, 0]
+    for line, end in zip(lines, ("8.88", "231.12", "120"), strict=True):
+        assert f'points="0,231.12 560,{end}"' in line
 
 
 def test_names_are_escaped():
