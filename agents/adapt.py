@@ -32,7 +32,7 @@ from agents.fine_tuning import (
     write_curve,
 )
 from agents.recording import progress_bar
-from agents.run_folder import locked, read_json, write_json
+from agents.run_folder import git_commit, locked, read_json, write_json
 from dynagen_bench import ids
 from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.evaluation.traces import Traces, load_traces, physics_digest, save_traces
@@ -64,7 +64,8 @@ def adapt(folder: Path, settings: AdaptationSettings) -> Path:
         files = [parts / f"{name.label}.json" for name in names]
         _adapt_each(run, settings, dict(zip(files, names, strict=True)), {**facts, "physics": physics_digest(robot)})
         hours = run.record["hours"] + sum(read_json(file)["hours"] for file in files)
-        _write_result(result, {**facts, "hours": hours}, join([read_result(file) for file in files]))
+        found = join([read_result(file) for file in files])
+        _write_result(result, {**facts, "hours": hours, "commit": git_commit()}, found)
         shutil.rmtree(parts)
     return result
 

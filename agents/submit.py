@@ -75,7 +75,8 @@ def submit(
     found = [_read_run(folder, checkpoint, track) for folder in runs]
     configs, records = [run.config for run in found], [run.record for run in found]
     agent = _the_same("agent", [config["agent"] for config in configs])
-    commit = _the_same("commit", [config["commit"] for config in configs])
+    # a run may be older than what has adapted it, and the later commit has both
+    commit = _the_same("commit", [run.record.get("commit", run.config["commit"]) for run in found])
     for robot in {config["settings"]["robot"] for config in configs}:
         _the_same(f"config for {robot}", [c["config"] for c in configs if c["settings"]["robot"] == robot])
     _the_same("adaptation", [record.get("adaptation") for record in records])

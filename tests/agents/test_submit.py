@@ -102,6 +102,18 @@ def test_what_was_fine_tuned_is_a_submission_of_the_other_track(tmp_path, tiny_d
         submit([folder], tmp_path / "out", ["A. Name"], track="adaptation")
 
 
+def test_the_commit_is_that_which_has_made_the_result(tmp_path, tiny_data):
+    folder = run(tmp_path, every=1)
+    adapt(folder, AdaptationSettings(steps=1, episodes=2))
+    for file, commit in (("config.json", "a" * 40), ("adaptation.json", "b" * 40)):
+        content = json.loads((folder / file).read_text())
+        assert "commit" in content
+        (folder / file).write_text(json.dumps(content | {"commit": commit}))
+    for track, commit in (("zero-shot", "a" * 40), ("adaptation", "b" * 40)):
+        submit([folder], tmp_path / track, ["A. Name"], track=track)
+        assert read_submission(tmp_path / track).commit == commit
+
+
 def test_a_part_of_the_data_and_an_early_stop_are_told(tmp_path):
     # of learning rate 0 no return is better than the first, and of patience 2 the third step is the last one
     folder = run(tmp_path, steps=9, quality=0.3, hold_out=1, patience=2, options={"learning_rate": 0.0})
