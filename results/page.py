@@ -88,6 +88,13 @@ The counterpart of the paper's Figure 3, from one run of `python -m pytest tests
 """
 
 
+COST: Final = """\
+A million gradient steps, the paper's budget, five runs on each of the five robots, would take by these times what
+follows. The 25 runs of an agent are independent jobs ([sweeps.md](sweeps.md)). On one GPU, an RTX 2080 Ti, the paper's
+authors report at most 8 hours for a run of DADT, which is 200 for 25. Energy has not been measured.
+"""
+
+
 def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
     """Name of a file in docs/ → its text; the same for the same entries and kept runs.
 
@@ -109,7 +116,7 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
         *_learning(folder),
         *_choices(folder),
         *_compute(folder),
-        "## What was run\n",
+        "## What was run\n\nWall clock is that of machines that did other things too: compute has a table of its own.\n",
         tables.training(runs),
     ]
     return {PAGE: "\n".join(parts), **figures}
@@ -173,4 +180,5 @@ def _compute(folder: Path) -> list[str]:
         "test_gradient_steps": "a gradient step, s",
         "test_acting_in_ten_episodes": "200 steps of 10 episodes, s",
     }
-    return [COMPUTE, *(tables.compute(times[name], title) for name, title in titles.items() if name in times)]
+    found = [tables.compute(times[name], title) for name, title in titles.items() if name in times]
+    return [COMPUTE, *found, COST, tables.cost(times["test_gradient_steps"])]

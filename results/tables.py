@@ -5,7 +5,7 @@ What is here: a function a table. Called by the page. It must not read files.
 
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from agents.evaluate import COMPARED
 from agents.summary.builder import final_text
@@ -18,6 +18,15 @@ from leaderboard.published import PUBLISHED, PUBLISHED_ERRORS, Score
 from leaderboard.standings import TRACKS, Row, standings
 from results.claims import PREDICTORS, SLUGS, Claim, Evidence
 from results.kept import Errors
+
+PAPER_STEPS: Final = 1_000_000
+"""Gradient steps of a run (section 5.1)."""
+
+PAPER_RUNS: Final = 5
+"""On each robot."""
+
+CLUSTER: Final = 25
+"""Threads, of a cluster for example, that the runs of an agent keep busy, one each."""
 
 
 def scores(entries: Sequence[Entry], track: str) -> str:
@@ -81,8 +90,19 @@ def training(runs: Sequence[Run]) -> str:
         commit = f"`{first.about['commit'][:7]}`"
         cells = [escape(group.label), group.robot, seeds, f"{first.step:,}", f"{config['batch_size']}", rate]
         lines.append([*cells, took, commit])
-    header = ["agent", "robot", "seeds", "gradient steps", "batch", "learning rate", "a run took", "commit"]
+    header = ["agent", "robot", "seeds", "gradient steps", "batch", "learning rate", "wall clock", "commit"]
     return _table(header, lines, numbers=False)
+
+
+def cost(times: Mapping[str, float]) -> str:
+    """What the paper's budget would take by the seconds of a gradient step."""
+    lines = []
+    for name, seconds in times.items():
+        hours = PAPER_STEPS * seconds / 3600
+        every = hours * PAPER_RUNS * len(ids.ROBOTS)
+        lines.append([name, f"{seconds:.3f}", f"{hours:,.0f}", f"{every:,.0f}", f"{every / CLUSTER:,.0f}"])
+    header = ["agent", "a step, s", "a run, hours", "25 runs, hours on one thread", f"hours on {CLUSTER} threads"]
+    return _table(header, lines)
 
 
 def held_out(runs: Sequence[Run]) -> str:

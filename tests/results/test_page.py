@@ -53,6 +53,7 @@ def test_the_page_has_every_part(made):
     assert "| *DT+, the paper* | 0.2314 ± 0.0050 |" in page
     assert "| dadt | Hopper | 320 | 310 | 0.25 |" in page  # at the end, over the curve, loss at the end
     assert "| focal | 0.500 | 5.00 |" in page
+    assert "| dadt | 0.100 | 28 | 694 | 28 |" in page  # a million steps of 0.1 s are 27.8 hours
     assert "| 300.0 | 310.2 |" in page
     assert "| dadt | Hopper | 1 | 200 | 2 | 305 | 25 | 10.5 |" in page
     assert "0.001 after 500 steps of warm-up" in page
