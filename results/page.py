@@ -116,7 +116,7 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
         *_learning(folder),
         *_choices(folder),
         *_compute(folder),
-        "## What was run\n\nWall clock is that of machines that did other things too: compute has a table of its own.\n",
+        "## What was run\n\nThe wall clock is that of a machine that did other things too.\n",
         tables.training(runs),
     ]
     return {PAGE: "\n".join(parts), **figures}
