@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from agents.evaluate import LEARNED
 from agents.prediction import PREDICTION
-from agents.run_folder import read_json, write_json
+from agents.run_folder import read_curve, read_json, write_json
 from agents.summary.runs import Run, read_runs
 from dynagen_bench.whole import whole_file
 
@@ -55,7 +55,7 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
 
     Raises:
         FileNotFoundError: a folder is no run that has trained.
-        ValueError: a run is not of committed code: nobody could make it again.
+        ValueError: a run is not finished, or not of committed code: nobody could make it again.
     """
     kept = []
     for run in runs:
@@ -65,6 +65,7 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
         commit = about.get("commit")
         if not commit or commit.endswith("-dirty"):
             raise ValueError(f"{run} was made by {commit or 'no commit'}: commit the code and train it again")
+        _check_finished(run, about["config"]["steps"])
         settings = {key: value for key, value in about["settings"].items() if key not in _OF_A_MACHINE}
         place = folder / "runs" / group / run.name
         write_json(place / "config.json", about | {"settings": settings})
@@ -74,6 +75,15 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
                     shutil.copyfile(run / name, unfinished)
         kept.append(place)
     return kept
+
+
+def _check_finished(run: Path, steps: int) -> None:
+    """Raise ValueError if training has not come to its last step, nor ended early by held-out dynamics."""
+    result, curve = run / "evaluation.json", read_curve(run, "loss")
+    if result.is_file() and read_json(result).get("stopped_early"):
+        return
+    if not curve or curve[-1][0] != steps:
+        raise ValueError(f"{run} is at step {curve[-1][0] if curve else 0} of {steps}: train it to the end first")
 
 
 def keep_compute(benchmark: Path, folder: Path = FOLDER) -> Path:

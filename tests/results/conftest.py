@@ -26,7 +26,7 @@ def trained(tmp_path):
         folder.mkdir(parents=True)
         about = {
             "agent": agent,
-            "config": {"learning_rate": 1e-3, "warmup_steps": 500, "batch_size": 64, **config},
+            "config": {"steps": 200, "learning_rate": 1e-3, "warmup_steps": 500, "batch_size": 64, **config},
             "settings": {"robot": robot, "seed": seed, "runs": "/home/somebody/runs", "threads": 1, **(settings or {})},
             "data": {},
             "commit": commit,

@@ -39,6 +39,14 @@ def test_only_runs_of_committed_code_are_kept(trained, tmp_path, commit):
     assert not (tmp_path / "kept").exists()
 
 
+def test_only_finished_runs_are_kept(trained, tmp_path):
+    run = trained("dadt", steps=300)
+    with pytest.raises(ValueError, match="is at step 200 of 300: train it to the end first"):
+        keep([run], "reference", tmp_path / "kept")
+    (run / "evaluation.json").write_text(json.dumps({"stopped_early": True}))
+    assert keep([run], "reference", tmp_path / "kept")
+
+
 def test_no_run_no_keeping(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"has no config\.json and curves\.csv"):
         keep([tmp_path], "reference", tmp_path / "kept")
