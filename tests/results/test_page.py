@@ -31,7 +31,7 @@ def made(board, trained, tmp_path):
     runs = [trained("dadt", seed, errors=[0.02] * 5, score=40.0 + seed) for seed in range(2)]
     keep([*runs, trained("mlp", errors=[0.5] * 5)], "reference", tmp_path / "kept")
     pilot = trained("dadt", settings={"hold_out": 4}, learning_rate=3e-4)
-    (pilot / "curves.csv").write_text("step,validation_loss,validation_return\n100,0.5,300\n200,0.25,320\n")
+    (pilot / "curves.csv").write_text("step,loss,validation_loss,validation_return\n100,1,0.5,300\n200,1,0.25,320\n")
     (pilot / "adaptation-curve.csv").write_text("steps,mean_return\n0,300\n500,310.25\n")
     keep([pilot], "learning-rate", tmp_path / "kept")
     learned = {"agent": "dadt", "robot": "Hopper", "gradient_steps": 200, "dynamics": ["train0", "train1"]}
