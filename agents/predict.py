@@ -62,15 +62,16 @@ def predict(
         torch.set_num_threads(threads)
     found = [read_run(folder) for folder in runs]
     parts = check_comparable(found, test_every)
-    measured = dict[tuple[str, str], list[float]]()
+    measured, unchanged = dict[tuple[str, str], list[float]](), dict[str, float]()
     for run in found:
         errors = measure(run, parts[run.checkpoint.spec.robot], episodes)
         if errors is None:
             print(f"{run.folder}: {run.checkpoint.agent} does not predict the next state, left out")
         else:
             measured.setdefault(run.cell, []).append(errors.mean)
+            unchanged[errors.robot] = float(errors.unchanged.mean())
     if measured:
-        rich.print(table(measured))
+        rich.print(table(measured, unchanged))
 
 
 def read_run(folder: Path) -> Run:
@@ -120,13 +121,18 @@ def measure(run: Run, every: int, episodes: int | None) -> PredictionErrors | No
     return errors
 
 
-def table(measured: dict[tuple[str, str], list[float]]) -> rich.table.Table:
-    """Errors by (agent, robot): mean ± standard deviation (of a sample) over runs, and how many they are."""
+def table(measured: dict[tuple[str, str], list[float]], unchanged: dict[str, float]) -> rich.table.Table:
+    """Errors by (agent, robot): mean ± standard deviation (of a sample) over runs, and how many they are.
+
+    The last line is what a predictor has to beat, by robot: the error of the present state in its place.
+    """
     robots = [robot for robot in ids.ROBOTS if any(robot == column for _, column in measured)]
     agents = dict.fromkeys(agent for agent, _ in measured)
     shown = rich.table.Table("agent", *robots, title="mean square error of normalised next states, test dynamics")
     for agent in agents:
         shown.add_row(agent, *(summary(measured.get((agent, robot), [])) for robot in robots))
+    shown.add_section()
+    shown.add_row("no change", *(f"{unchanged[robot]:.5f}" for robot in robots))
     return shown
 
 

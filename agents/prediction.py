@@ -45,6 +45,7 @@ class PredictionErrors:
         robot, split: of the data.
         dynamics: (D,) int64, indices in the split.
         errors: (D,) float64.
+        unchanged: (D,) float64, errors of the present state in place of a prediction: what a predictor has to beat.
         steps: (D,) int64, that an error is the mean of.
     """
 
@@ -52,6 +53,7 @@ class PredictionErrors:
     split: str
     dynamics: NDArray[np.int64]
     errors: NDArray[np.float64]
+    unchanged: NDArray[np.float64]
     steps: NDArray[np.int64]
 
     @property
@@ -61,7 +63,7 @@ class PredictionErrors:
 
     def to_json(self) -> dict[str, Any]:
         """As JSON types, the mean among them."""
-        lists = {field: getattr(self, field).tolist() for field in ("dynamics", "errors", "steps")}
+        lists = {field: getattr(self, field).tolist() for field in ("dynamics", "errors", "unchanged", "steps")}
         return {"robot": self.robot, "split": self.split, "mean": self.mean, **lists}
 
 
@@ -95,27 +97,36 @@ def prediction_errors(
     starts, owners = tiles(dataset.episode_lengths, context)
     dynamics, of_episode = np.unique(dataset.episode_dynamics, return_inverse=True)
     of_window = of_episode[owners]
-    squares, steps = np.zeros(len(dynamics)), np.zeros(len(dynamics), dtype=np.int64)
+    squares, still = np.zeros(len(dynamics)), np.zeros(len(dynamics))
+    steps = np.zeros(len(dynamics), dtype=np.int64)
     for part in _batches(len(starts), f"{dataset.robot} next states", progress):
         windows = sampler.windows_at(starts[part])
-        square = square_errors(predictor, windows).sum(axis=1, dtype=np.float64)  # (B,)
-        squares += np.bincount(of_window[part], square, len(dynamics))
+        for total, square in (
+            (squares, square_errors(predict(predictor, windows), windows)),
+            (still, square_errors(windows.observations, windows)),
+        ):
+            total += np.bincount(of_window[part], square.sum(axis=1, dtype=np.float64), len(dynamics))
         steps += np.bincount(of_window[part], windows.mask.sum(axis=1), len(dynamics)).astype(np.int64)
-    errors = squares / np.maximum(steps, 1)
+    errors, unchanged = squares / np.maximum(steps, 1), still / np.maximum(steps, 1)
     if not np.isfinite(errors).all():
         worst = dynamics[np.argmin(np.isfinite(errors))]
         raise FloatingPointError(
             f"a next state of {dataset.robot} {dataset.split}{worst} is predicted to be no finite number: train again "
             "with a lower --learning-rate, or check the data"
         )
-    return PredictionErrors(dataset.robot, dataset.split, dynamics, errors, steps)
+    return PredictionErrors(dataset.robot, dataset.split, dynamics, errors, unchanged, steps)
 
 
-def square_errors(predictor: Predictor, windows: Windows) -> NDArray[np.float32]:
-    """Square error of each step (B, K), the mean over the S elements; 0 at padding."""
+def predict(predictor: Predictor, windows: Windows) -> NDArray[np.float32]:
+    """Normalised next states (B, K, S)."""
     with torch.inference_mode():
-        predicted = predictor.predict(windows).float().cpu().numpy()
+        predicted: NDArray[np.float32] = predictor.predict(windows).float().cpu().numpy()
     assert predicted.shape == windows.next_observations.shape, predicted.shape
+    return predicted
+
+
+def square_errors(predicted: NDArray[np.float32], windows: Windows) -> NDArray[np.float32]:
+    """Square error of each step (B, K), the mean over the S elements; 0 at padding."""
     error = np.where(windows.mask[:, :, None], predicted - windows.next_observations, np.float32(0))
     mean: NDArray[np.float32] = np.square(error).mean(axis=2)
     return mean

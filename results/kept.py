@@ -48,6 +48,8 @@ class Errors(NamedTuple):
     robot: str
     values: NDArray[np.float64]
     """(R, M) mean square errors of R runs in M test dynamics."""
+    unchanged: float | None = None
+    """Error of the present state in place of a prediction; None of runs that were measured before it was."""
 
 
 def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
@@ -122,9 +124,14 @@ def kept_errors(group: str = REFERENCE, folder: Path = FOLDER) -> list[Errors]:
         if len(ways) > 1:
             raise ValueError(f"the errors of {agent} on {robot} were measured in different ways: {sorted(ways)}")
     return [
-        Errors(agent, robot, np.array([record["prediction"]["errors"] for record in records]))
+        Errors(agent, robot, np.array([record["prediction"]["errors"] for record in records]), _unchanged(records))
         for (agent, robot), records in found.items()
     ]
+
+
+def _unchanged(records: Sequence[dict[str, Any]]) -> float | None:
+    told = [record["prediction"]["unchanged"] for record in records if "unchanged" in record["prediction"]]
+    return float(np.mean(told[0])) if told else None
 
 
 def kept_learning(group: str = REFERENCE, folder: Path = FOLDER) -> list[dict[str, Any]]:

@@ -63,7 +63,8 @@ ERRORS: Final = """\
 
 The counterpart of the paper's Table 3 and Figure 4: mean square error of the normalised next state, one step ahead, in
 windows of K steps that tile 200 episodes of each test dynamics; the mean over its elements, steps and dynamics. The
-paper names neither its units nor its horizon.
+paper names neither its units nor its horizon. MLP, LSTM and CaDM predict the change of the state, as CaDM's own code
+does; DADT and DT+ the next state itself, as the paper says.
 """
 
 LEARNING: Final = """\

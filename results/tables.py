@@ -60,6 +60,10 @@ def errors(found: Sequence[Errors]) -> str:
         if name in PUBLISHED_ERRORS:
             published = [f"{mean:.4f} ± {std:.4f}" for mean, std in PUBLISHED_ERRORS[name]]
             lines.append([f"*{name}, the paper*", *published])
+    unchanged = {one.robot: one.unchanged for one in found if one.unchanged is not None}
+    if unchanged:
+        cells = (f"{unchanged[robot]:.4g}" if robot in unchanged else "–" for robot in ids.ROBOTS)
+        lines.append(["no change: the present state", *cells])
     return _table(["", *ids.ROBOTS], lines)
 
 

@@ -43,6 +43,7 @@ def test_a_value_worked_out_by_hand(context):
     assert found.dynamics.tolist() == [0, 1]
     assert found.steps.tolist() == [3, 2]
     np.testing.assert_allclose(found.errors, (2.5**2 + 0.5**2) / 2, rtol=1e-5)
+    assert found.unchanged.tolist() == found.errors.tolist()  # who copies predicts that nothing changes
     assert found.mean == pytest.approx(3.25, rel=1e-5)
 
 
@@ -127,7 +128,9 @@ def test_the_record_of_a_run(tmp_path):
 
 
 def test_the_mean_counts_every_dynamics_the_same():
-    errors = PredictionErrors("Hopper", "test", np.array([0, 1]), np.array([1.0, 3.0]), np.array([1, 999]))
+    errors = PredictionErrors(
+        "Hopper", "test", np.array([0, 1]), np.array([1.0, 3.0]), np.array([2.0, 2.0]), np.array([1, 999])
+    )
     assert errors.mean == 2.0
 
 

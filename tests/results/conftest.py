@@ -35,7 +35,7 @@ def trained(tmp_path):
         last = "" if score is None else f"{score}"
         (folder / "curves.csv").write_text(f"step,loss,seconds,test_score\n100,1.0,30,\n200,0.5,60,{last}\n")
         if errors is not None:
-            prediction = {"robot": robot, "split": "test", "errors": errors}
+            prediction = {"robot": robot, "split": "test", "errors": errors, "unchanged": [0.09] * 5}
             record = {"agent": agent, "every": 1, "episodes": 200, "gradient_steps": 200, "prediction": prediction}
             (folder / "prediction.json").write_text(json.dumps(record))
         (folder / "last.safetensors").write_bytes(b"weights")
