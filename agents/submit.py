@@ -182,7 +182,9 @@ def _commands(run: FinishedRun) -> list[str]:
     if "adaptation" in run.record:
         named = ("seed", "every", "quality", "hold_out")
         folder = dataclasses.replace(defaults, **{key: settings[key] for key in named}).folder(agent)
-        options = _options(_changed(run.record["adaptation"], dataclasses.asdict(AdaptationSettings()) | PAPER))
+        # the paper has no number of steps: ours may be another in the commit that has adapted the run
+        usual = dataclasses.asdict(AdaptationSettings()) | PAPER | {"steps": None}
+        options = _options(_changed(run.record["adaptation"], usual))
         commands.append(" ".join([f"python -m agents.adapt {folder.as_posix()}", *options]))
     return commands
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agents.adapt import adapt
-from agents.fine_tuning import AdaptationSettings
+from agents.fine_tuning import PAPER, AdaptationSettings
 from agents.run_folder import RunSettings
 from agents.submit import main, submit
 from agents.train import train
@@ -100,6 +100,17 @@ def test_what_was_fine_tuned_is_a_submission_of_the_other_track(tmp_path, tiny_d
     run(tmp_path, seed=1, steps=3)  # the same run, continued
     with pytest.raises(ValueError, match="was adapted at step 2 and trained to 3 since: adapt it again"):
         submit([folder], tmp_path / "out", ["A. Name"], track="adaptation")
+
+
+def test_the_steps_of_an_adaptation_are_told_also_where_they_are_the_default(tmp_path, tiny_data):
+    folder = run(tmp_path, every=1)
+    adapt(folder, AdaptationSettings(steps=1, episodes=2))
+    record = json.loads((folder / "adaptation.json").read_text())
+    record["adaptation"] = dataclasses.asdict(AdaptationSettings()) | PAPER
+    (folder / "adaptation.json").write_text(json.dumps(record))
+    submit([folder], tmp_path / "out", ["A. Name"], track="adaptation")
+    commands = read_submission(tmp_path / "out").commands
+    assert commands[1:] == [f"python -m agents.adapt runs/dadt-Hopper-seed0 --steps {AdaptationSettings().steps}"]
 
 
 def test_the_commit_is_that_which_has_made_the_result(tmp_path, tiny_data):
