@@ -43,9 +43,9 @@ Made by `python -m results build` from the board's entries ([LEADERBOARD.md](../
 every score replayed) and from the kept runs in [results/runs](../results/runs); changes by hand are lost.
 
 Ours are means over runs ± their sample standard deviation, the paper's its own. The paper's dynamics are other draws,
-its behaviour policies others, and its budget a million gradient steps: orderings can be compared, values cannot. Robots
-without a number have not been run. Every number is of the last checkpoint; the paper reports the best one on the test
-dynamics.
+its behaviour policies others, and its budget a million gradient steps: orderings can be compared, values cannot, and at
+the small budgets here ([what was run](#what-was-run)) an ordering may still turn. Robots without a number have not been
+run. Every number is of the last checkpoint; the paper reports the best one on the test dynamics.
 """
 
 CLAIMS: Final = """\
