@@ -33,11 +33,11 @@ _STYLE: Final = """
   .page { fill: #ffffff } .panel { fill: #f6f8fa } .grid { stroke: #d8dee4 }
   .line { fill: none; stroke-width: 2.5; stroke-linejoin: round }
   .run { fill: none; stroke-width: 1; stroke-opacity: 0.4; stroke-linejoin: round }
-  .whisker { stroke-width: 2 }
+  .whisker { stroke-width: 2 } .still { stroke: #57606a; stroke-dasharray: 5 4 }
 """
 _DARK: Final = """
     text { fill: #9198a1 } .title { fill: #f0f6fc } .page { fill: #0d1117 } .panel { fill: #151b23 }
-    .grid { stroke: #2a313c }
+    .grid { stroke: #2a313c } .still { stroke: #9198a1 }
 """
 
 
@@ -58,20 +58,27 @@ def learning_curves(robot: str, curves: Mapping[str, Sequence[Mapping[int, float
         for number, own in enumerate(drawn.values())
         for curve in own
     ]
+    parts += [  # a run that was measured once is a point
+        f'<circle class="fill{number}" cx="{x.at(point.step) * WIDTH / 100:.6g}" '
+        f'cy="{HEIGHT - y.at(point.value.mean) * HEIGHT / 100:.6g}" r="3"/>'
+        for number, curve in enumerate(means.values())
+        for point in curve
+    ]
     parts += [_x_label(x.at(tick), f"{tick:,.0f}") for tick in x.ticks]
     parts.append(f'<text class="middle" x="{WIDTH / 2:g}" y="{HEIGHT + 36}">gradient steps</text>')
     about = "Score in the test dynamics: each run, and the mean over runs"
     return _drawing(f"{robot}: learning curves", about, y, [_grid(y), *parts, _key(list(means))])
 
 
-def error_bars(robot: str, errors: Mapping[str, Estimate]) -> str:
+def error_bars(robot: str, errors: Mapping[str, Estimate], unchanged: float | None = None) -> str:
     """SVG of next-state errors, the paper's Figure 4: mean over runs, and its 95 % interval as a whisker.
 
     Args:
         robot: for the title.
         errors: agent → mean square error of normalised next states.
+        unchanged: that of the present state in place of a prediction, a line.
     """
-    ends = [end for one in errors.values() for end in (one.mean, *(one.interval or ())) if end > 0]
+    ends = [end for one in errors.values() for end in (one.mean, *(one.interval or ()), unchanged or 0) if end > 0]
     y = Scale(min(ends) / 1.5, max(ends) * 1.5, logarithmic=True)
     parts = []
     for number, (agent, one) in enumerate(errors.items()):
@@ -82,6 +89,10 @@ def error_bars(robot: str, errors: Mapping[str, Estimate]) -> str:
             parts.append(f'<path class="whisker stroke{number}" d="M{across:g} {low:g}V{high:g}"/>')
         parts.append(f'<circle class="fill{number}" cx="{across:g}" cy="{down:g}" r="5"/>')
         parts.append(_x_label(x, agent))
+    if unchanged is not None:
+        down = HEIGHT - y.at(unchanged) * HEIGHT / 100
+        parts.append(f'<path class="still" d="M0 {down:g}H{WIDTH}"/>')
+        parts.append(f'<text x="{WIDTH + 8}" y="{down + 4:g}">no change, {unchanged:.3g}</text>')
     about = "Mean square error of normalised next states in the test dynamics, logarithmic; less is better"
     return _drawing(f"{robot}: next-state errors", about, y, [_grid(y), *parts])
 

@@ -152,7 +152,8 @@ def _figures(robot: str, runs: Sequence[Run], errors: Sequence[Errors]) -> dict[
     own = {name: tables.error_estimates(errors, agent).get(robot) for agent, name in PREDICTORS.items()}
     measured = {name: value for name, value in own.items() if value is not None}
     if measured:
-        found[f"results/{robot.lower()}-errors.svg"] = error_bars(robot, measured)
+        unchanged = next((one.unchanged for one in errors if one.robot == robot and one.unchanged is not None), None)
+        found[f"results/{robot.lower()}-errors.svg"] = error_bars(robot, measured, unchanged)
     return found
 
 

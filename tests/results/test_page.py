@@ -96,6 +96,18 @@ def test_a_point_of_a_curve_lies_where_it_should():
         assert f'points="0,231.12 560,{end}"' in line
 
 
+def test_a_run_that_was_measured_once_is_a_point():
+    drawing = learning_curves("Hopper", {"dt": [{0: 0.0, 100: 100.0}], "merpo": [{50: 50.0}]})
+    assert '<circle class="fill1" cx="280" cy="120" r="3"/>' in drawing
+
+
+def test_what_has_to_be_beaten_is_a_line():
+    # from 0.1 / 1.5 to 10 · 1.5 there are 2.352 powers of ten, 1 lies in their middle
+    drawing = error_bars("Hopper", {"lstm": Estimate(0.1, None, None), "dt": Estimate(10.0, None, None)}, unchanged=1.0)
+    assert f'd="M0 120H{560}"' in drawing
+    assert "no change, 1" in drawing
+
+
 def test_names_are_escaped():
     text = error_bars("Hopper", {"<b>": Estimate(0.1, None, None), "lstm": Estimate(0.01, 0.001, (0.005, 0.015))})
     assert "&lt;b&gt;" in text
