@@ -9,6 +9,7 @@ from typing import Final
 
 from agents.summary.runs import Run
 from dynagen_bench import ids
+from dynagen_bench.envs import HORIZON
 from leaderboard.board import BOARD
 from leaderboard.entries import Entry, read_entries
 from results import tables
@@ -178,9 +179,7 @@ def _compute(folder: Path) -> list[str]:
     times = compute_times(folder)
     if not times:
         return []
-    titles = {
-        "test_gradient_steps": "a gradient step, s",
-        "test_acting_in_ten_episodes": "200 steps of 10 episodes, s",
-    }
-    found = [tables.compute(times[name], title) for name, title in titles.items() if name in times]
-    return [COMPUTE, *found, COST, tables.cost(times["test_gradient_steps"])]
+    step, acting = times["test_gradient_steps"], times["test_acting_in_ten_episodes"]
+    whole = {name: HORIZON * seconds for name, seconds in acting.items()}
+    found = [tables.compute(step, "a gradient step, s"), tables.compute(whole, f"{HORIZON} steps of 10 episodes, s")]
+    return [COMPUTE, *found, COST, tables.cost(step)]

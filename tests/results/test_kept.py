@@ -60,15 +60,21 @@ def test_adaptation_curves_by_run(trained, tmp_path):
 
 
 def test_times_of_the_compute_benchmark(tmp_path):
-    file, name = tmp_path / "run.json", "tests/benchmarks/test_compute.py::test_gradient_steps"
+    seconds = {"test_gradient_steps": {"dadt": 0.1, "dt": 0.05}, "test_acting_in_ten_episodes": {"dadt": 0.01}}
     runs = [
-        {"name": "test_gradient_steps", "fullname": name, "extra_info": {"seconds": {"dadt": 0.1, "dt": 0.05}}},
-        {"name": "test_other", "fullname": "tests/benchmarks/test_other.py::test_other", "extra_info": {}},
+        {
+            "name": name,
+            "fullname": f"tests/benchmarks/test_compute.py::{name}",
+            "extra_info": {"seconds": seconds[name]},
+        }
+        for name in seconds
     ]
+    runs.append({"name": "test_other", "fullname": "tests/benchmarks/test_other.py::test_other", "extra_info": {}})
+    file = tmp_path / "run.json"
     file.write_text(json.dumps({"benchmarks": runs}))
     keep_compute(file, tmp_path)
-    assert compute_times(tmp_path) == {"test_gradient_steps": {"dadt": 0.1, "dt": 0.05}}
+    assert compute_times(tmp_path) == seconds
     file.write_text(json.dumps({"benchmarks": runs[1:]}))
-    with pytest.raises(ValueError, match=r"no run of tests/benchmarks/test_compute\.py"):
+    with pytest.raises(ValueError, match=r"no whole run of tests/benchmarks/test_compute\.py"):
         keep_compute(file, tmp_path)
     assert compute_times(tmp_path / "elsewhere") == {}

@@ -38,7 +38,8 @@ def made(board, trained, tmp_path):
     learned |= {"trained": [300, 310], "untrained": [20, 30], "random": [10, 11]}
     (tmp_path / "kept/runs/reference/dadt/evaluation-train.json").parent.mkdir()
     (tmp_path / "kept/runs/reference/dadt/evaluation-train.json").write_text(json.dumps(learned))
-    times = {"test_gradient_steps": {"dadt": 0.1, "focal": 0.5}}
+    acting = {"dadt": 0.01, "focal": 0.001}
+    times = {"test_gradient_steps": {"dadt": 0.1, "focal": 0.5}, "test_acting_in_ten_episodes": acting}
     (tmp_path / "kept" / "compute.json").write_text(json.dumps(times))
     return pages(tmp_path / "board", tmp_path / "kept")
 
@@ -54,6 +55,7 @@ def test_the_page_has_every_part(made):
     assert "| *DT+, the paper* | 0.2314 ± 0.0050 |" in page
     assert "| dadt | Hopper | 320 | 310 | 0.25 |" in page  # at the end, over the curve, loss at the end
     assert "| focal | 0.500 | 5.00 |" in page
+    assert "| dadt | 2.000 | 1.00 |" in page  # 200 steps of 0.01 s
     assert "| dadt | 0.100 | 28 | 694 | 28 |" in page  # a million steps of 0.1 s are 27.8 hours
     assert "| 300.0 | 310.2 |" in page
     assert "| dadt | Hopper | 1 | 200 | 2 | 305 | 25 | 10.5 |" in page
