@@ -70,13 +70,21 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
         _check_finished(run, about["config"]["steps"])
         settings = {key: value for key, value in about["settings"].items() if key not in _OF_A_MACHINE}
         place = folder / "runs" / group / run.name
-        write_json(place / "config.json", about | {"settings": settings})
+        write_json(place / "config.json", about | {"settings": settings, "command": _plain(about.get("command"))})
         for name in _COPIED:
             if (run / name).is_file():
                 with whole_file(place / name) as unfinished:
                     shutil.copyfile(run / name, unfinished)
         kept.append(place)
     return kept
+
+
+def _plain(command: str | None) -> str | None:
+    """A command without the options that say where a run was made."""
+    words = (command or "").split()
+    where = [f"--{setting}" for setting in _OF_A_MACHINE]
+    kept = [word for i, word in enumerate(words) if word not in where and (i == 0 or words[i - 1] not in where)]
+    return " ".join(kept) or None
 
 
 def _check_finished(run: Path, steps: int) -> None:

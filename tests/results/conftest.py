@@ -30,6 +30,7 @@ def trained(tmp_path):
             "settings": {"robot": robot, "seed": seed, "runs": "/home/somebody/runs", "threads": 1, **(settings or {})},
             "data": {},
             "commit": commit,
+            "command": f"python -m agents.train {agent} --runs /home/somebody/runs --threads 1 --seed {seed}",
         }
         (folder / "config.json").write_text(json.dumps(about))
         last = "" if score is None else f"{score}"

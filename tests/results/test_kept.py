@@ -13,6 +13,7 @@ def test_a_kept_run_has_its_curves_and_no_weights_nor_paths(trained, tmp_path):
     assert {path.name for path in place.iterdir()} == {"config.json", "curves.csv", "prediction.json"}
     assert "somebody" not in (place / "config.json").read_text()
     (run,) = kept_runs("reference", tmp_path / "kept")
+    assert run.about["command"] == "python -m agents.train dadt --seed 0"
     assert (run.seed, run.step, run.curves["loss"]) == (0, 200, {100: 1.0, 200: 0.5})
 
 
