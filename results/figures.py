@@ -46,10 +46,10 @@ def learning_curves(robot: str, curves: Mapping[str, Sequence[Mapping[int, float
 
     Args:
         robot: for the title.
-        curves: agent → steps → score, of each of its runs; an agent without common steps is left out.
+        curves: agent → steps → score, of each of its runs, at steps that all of them have.
     """
-    means = {agent: curve_of(runs) for agent, runs in curves.items() if runs and runs[0]}
-    singles = {agent: [curve_of([run]) for run in curves[agent]] for agent in means}
+    means = {agent: curve_of(runs) for agent, runs in curves.items()}
+    singles = {agent: [curve_of([run]) for run in runs] for agent, runs in curves.items()}
     every = [curve for own in singles.values() for curve in own]
     x, y = Scale(0.0, float(max(curve[-1].step for curve in every))), scale_of(every, may_bend=False)
     parts = [

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from agents.summary.runs import Run
+from agents.summary.runs import Run, grouped
 from dynagen_bench import ids
 from dynagen_bench.envs import HORIZON
 from leaderboard.board import BOARD
@@ -142,14 +142,10 @@ def _learning(folder: Path) -> list[str]:
 def _figures(robot: str, runs: Sequence[Run], errors: Sequence[Errors]) -> dict[str, str]:
     """File → SVG, of a robot that there are runs of."""
     found = {}
-    curves: dict[str, list[Mapping[int, float]]] = {}
-    for run in runs:
-        if run.about["settings"]["robot"] == robot and run.curves.get("test_score"):
-            curves.setdefault(run.about["agent"], []).append(run.curves["test_score"])
-    common = {agent: set.intersection(*(set(curve) for curve in own)) for agent, own in curves.items()}
-    kept = {agent: [{s: curve[s] for s in sorted(common[agent])} for curve in own] for agent, own in curves.items()}
-    if any(common.values()):
-        found[f"results/{robot.lower()}-curves.svg"] = learning_curves(robot, kept)
+    groups = [group for group in grouped(runs) if group.robot == robot]
+    curves = {group.label: scores for group in groups if (scores := group.curves("test_score"))}
+    if curves:
+        found[f"results/{robot.lower()}-curves.svg"] = learning_curves(robot, curves)
     own = {name: tables.error_estimates(errors, agent).get(robot) for agent, name in PREDICTORS.items()}
     measured = {name: value for name, value in own.items() if value is not None}
     if measured:
