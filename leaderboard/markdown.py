@@ -4,12 +4,13 @@ What is here: `page`, and the escaping of every text that came with an entry. Ca
 scores.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from dynagen_bench import ids
 from dynagen_bench.envs import HORIZON
 from dynagen_bench.evaluation import EPISODES
+from dynagen_bench.markdown import table
 from leaderboard.entries import Entry
 from leaderboard.standings import (
     CHECKPOINTS,
@@ -62,13 +63,13 @@ def page(entries: Sequence[Entry]) -> str:
     tables = standings(entries)
     if not tables:
         parts.append("There are no entries yet.\n")
-    for table in tables:
-        parts.append(_table(table))
-        if any(cell.iqm.interval for row in table.rows for cell in row.cells.values()):
-            parts.append(_ranks(table))
+    for standing in tables:
+        parts.append(_standing(standing))
+        if any(cell.iqm.interval for row in standing.rows for cell in row.cells.values()):
+            parts.append(_ranks(standing))
     if entries:
         parts.append("## Entries\n")
-    parts += [_entry(row.entry) for table in tables for row in table.rows]
+    parts += [_entry(row.entry) for standing in tables for row in standing.rows]
     return "\n".join(parts)
 
 
@@ -100,38 +101,26 @@ def number_text(value: float) -> str:
     return f"{round(value, 2) + 0.0:.2f}"
 
 
-def _line(cells: Iterable[str]) -> str:
-    return "| " + " | ".join(cells) + " |\n"
-
-
-def _table(table: Table) -> str:
+def _standing(standing: Table) -> str:
     header = ["Agent", "Authors", *ids.ROBOTS, "Privileged", "Label"]
-    lines = [
-        f"## {TRACKS[table.track]}, {CHECKPOINTS[table.checkpoint]}\n\n",
-        _line(header),
-        _line(["---"] * len(header)),
-    ]
-    lines += [_line(_row(row)) for row in table.rows]
+    lines = [_row(row) for row in standing.rows]
     data = data_scores()
     scores = [number_text(data[robot]) if robot in data else "–" for robot in ids.ROBOTS]
-    lines.append(_line(["*behaviour data*", "", *scores, "", "reference"]))
-    return "".join(lines)
+    lines.append(["*behaviour data*", "", *scores, "", "reference"])
+    title = f"## {TRACKS[standing.track]}, {CHECKPOINTS[standing.checkpoint]}"
+    return f"{title}\n\n{table(header, lines, numbers_from=None)}\n"
 
 
-def _ranks(table: Table) -> str:
+def _ranks(standing: Table) -> str:
     columns = [*ids.ROBOTS, "All robots"]
-    lines = [
-        "Interquartile mean [95 % interval], rank:\n\n",
-        _line(["Agent", *columns]),
-        _line(["---"] * (1 + len(columns))),
-    ]
-    for row in table.rows:
+    lines = []
+    for row in standing.rows:
         cells = [*(row.cells.get(robot) for robot in ids.ROBOTS), row.overall]
         texts = [
             f"{iqm_text(cell)}, {rank_text(cell.rank)}" if cell and cell.rank else iqm_text(cell) for cell in cells
         ]
-        lines.append(_line([escape(row.entry.submission.agent), *texts]))
-    return "".join(lines)
+        lines.append([escape(row.entry.submission.agent), *texts])
+    return f"Interquartile mean [95 % interval], rank:\n\n{table(['Agent', *columns], lines, numbers_from=None)}\n"
 
 
 def _row(row: Row) -> list[str]:
@@ -169,10 +158,11 @@ def _entry(entry: Entry) -> str:
         "Score in each test dynamics, on the scale of its own data, mean over runs:\n",
     ]
     labels = [name.label for name in ids.dynamics_ids(ids.ROBOTS[0], ("test",))]
-    text = "\n".join(lines) + "\n" + _line(["Robot", *labels]) + _line(["---"] * (1 + len(labels)))
-    for robot, scores in dynamics_scores(submission).items():
-        text += _line([robot, *(number_text(scores[label]) for label in labels)])
-    return text
+    rows = [
+        [robot, *(number_text(scores[label]) for label in labels)]
+        for robot, scores in dynamics_scores(submission).items()
+    ]
+    return "\n".join([*lines, table(["Robot", *labels], rows, numbers_from=None)]) + "\n"
 
 
 def _links(entry: Entry) -> list[tuple[str, str]]:

@@ -35,8 +35,8 @@ class Evidence(NamedTuple):
     """The probability; None where one of the two has not been run."""
     robots: tuple[str, ...]
     """That both have been run on."""
-    runs: int
-    """Of the one that has fewest on some robot."""
+    runs: tuple[int, int]
+    """Of the one and of the other, each on the robot where it has fewest."""
 
     @property
     def verdict(self) -> Verdict:
@@ -151,9 +151,9 @@ def _than(scores: Mapping[str, Scores | None], name: str, other: str) -> Evidenc
 def _compared(what: str, scores: Scores | None, others: Scores | None) -> Evidence:
     shared = tuple(robot for robot in ids.ROBOTS if robot in (scores or {}) and robot in (others or {}))
     if scores is None or others is None or not shared:
-        return Evidence(what, None, (), 0)
-    runs = min(len(side[robot]) for side in (scores, others) for robot in shared)
-    return Evidence(what, improvement(scores, others), shared, runs)
+        return Evidence(what, None, (), (0, 0))
+    one, other = (min(len(side[robot]) for robot in shared) for side in (scores, others))
+    return Evidence(what, improvement(scores, others), shared, (one, other))
 
 
 def _all(text: str, source: str, *evidence: Evidence) -> Claim:
@@ -167,7 +167,7 @@ def _robust(weights: Mapping[str, Scores]) -> Claim:
     """λ makes no difference: the best of its values is no better than the worst."""
     text, source = "The weight of the next state's error hardly matters", "Table 4"
     if len(weights) < 2:
-        return Claim(text, source, "not run", (Evidence("best λ > worst λ", None, (), 0),))
+        return Claim(text, source, "not run", (Evidence("best λ > worst λ", None, (), (0, 0)),))
     means = {value: float(np.mean([of.mean() for of in scores.values()])) for value, scores in weights.items()}
     best, worst = (end(means, key=lambda value: means[value]) for end in (max, min))
     one = _compared(f"λ = {best} > λ = {worst}", weights[best], weights[worst])

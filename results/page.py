@@ -121,7 +121,7 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
         "## What was run\n\nThe wall clock is that of a machine that did other things too.\n",
         tables.training(runs),
     ]
-    return {PAGE: "\n".join(parts), **figures}
+    return {PAGE: "\n\n".join(part.strip("\n") for part in parts) + "\n", **figures}
 
 
 def _scores(entries: Sequence[Entry]) -> list[str]:

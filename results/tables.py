@@ -12,6 +12,7 @@ from agents.summary.builder import final_text
 from agents.summary.intervals import Estimate, estimate
 from agents.summary.runs import Run, grouped
 from dynagen_bench import ids
+from dynagen_bench.markdown import table
 from leaderboard.entries import Entry
 from leaderboard.markdown import escape, iqm_text, score_text
 from leaderboard.published import PUBLISHED, PUBLISHED_ERRORS, Score
@@ -32,12 +33,10 @@ CLUSTER: Final = 25
 def scores(entries: Sequence[Entry], track: str) -> str:
     """Scores of one track by robot, the last checkpoint's, ours and the paper's (its Tables 1, 2 and 7)."""
     rows: dict[str, Row] = {}
-    for table in standings(entries):
-        if (table.track, table.checkpoint) == (track, "last"):
-            rows = {row.entry.slug: row for row in table.rows}
-    published = {
-        row.agent: row.cells for table in PUBLISHED for row in table.rows if table.title.startswith(TRACKS[track])
-    }
+    for standing in standings(entries):
+        if (standing.track, standing.checkpoint) == (track, "last"):
+            rows = {row.entry.slug: row for row in standing.rows}
+    published = {row.agent: row.cells for one in PUBLISHED for row in one.rows if one.title.startswith(TRACKS[track])}
     lines = []
     for name, slug in SLUGS.items():
         own = rows.get(f"{slug}-{track}-last")
@@ -47,7 +46,7 @@ def scores(entries: Sequence[Entry], track: str) -> str:
             lines.append(["interquartile mean [95 %]", *(iqm_text(cell) for cell in cells)])
         if name in published:
             lines.append([f"*{name}, the paper*", *(_published(cell) for cell in published[name])])
-    return _table(["", *ids.ROBOTS], lines)
+    return table(["", *ids.ROBOTS], lines)
 
 
 def errors(found: Sequence[Errors]) -> str:
@@ -64,7 +63,7 @@ def errors(found: Sequence[Errors]) -> str:
     if unchanged:
         cells = (f"{unchanged[robot]:.4g}" if robot in unchanged else "–" for robot in ids.ROBOTS)
         lines.append(["no change: the present state", *cells])
-    return _table(["", *ids.ROBOTS], lines)
+    return table(["", *ids.ROBOTS], lines)
 
 
 def error_estimates(found: Sequence[Errors], agent: str) -> dict[str, Estimate]:
@@ -78,7 +77,7 @@ def verdicts(found: Iterable[Claim]) -> str:
         [claim.text, claim.source, f"**{claim.verdict}**", "; ".join(_evidence(one) for one in claim.evidence)]
         for claim in found
     ]
-    return _table(["The paper claims", "where", "here", "probability [95 % interval]"], lines, numbers=False)
+    return table(["The paper claims", "where", "here", "probability [95 % interval]"], lines, numbers_from=None)
 
 
 def training(runs: Sequence[Run]) -> str:
@@ -95,7 +94,7 @@ def training(runs: Sequence[Run]) -> str:
         cells = [escape(group.label), group.robot, seeds, f"{first.step:,}", f"{config['batch_size']}", rate]
         lines.append([*cells, took, commit])
     header = ["agent", "robot", "seeds", "gradient steps", "batch", "learning rate", "wall clock", "commit"]
-    return _table(header, lines, numbers=False)
+    return table(header, lines, numbers_from=None)
 
 
 def cost(times: Mapping[str, float]) -> str:
@@ -106,7 +105,7 @@ def cost(times: Mapping[str, float]) -> str:
         every = hours * PAPER_RUNS * len(ids.ROBOTS)
         lines.append([name, f"{seconds:.3f}", f"{hours:,.0f}", f"{every:,.0f}", f"{every / CLUSTER:,.0f}"])
     header = ["agent", "a step, s", "a run, hours", "25 runs, hours on one thread", f"hours on {CLUSTER} threads"]
-    return _table(header, lines)
+    return table(header, lines)
 
 
 def held_out(runs: Sequence[Run]) -> str:
@@ -121,7 +120,7 @@ def held_out(runs: Sequence[Run]) -> str:
             [escape(group.label), group.robot, *(_estimate_text(one) for one in (means[0], overall, means[1]))]
         )
     header = ["agent", "robot", "return at the end", "return, mean over the curve", "loss at the end"]
-    return _table(header, lines)
+    return table(header, lines)
 
 
 def learning(records: Sequence[Mapping[str, Any]]) -> str:
@@ -135,7 +134,7 @@ def learning(records: Sequence[Mapping[str, Any]]) -> str:
         means = [estimate([statistics.fmean(record[what]) for record in own]) for what in COMPARED]
         runs = [f"{len(own)}", f"{steps:,}", f"{dynamics}"]
         lines.append([escape(agent), robot, *runs, *(_estimate_text(one) for one in means)])
-    return _table(["agent", "robot", "runs", "gradient steps", "train dynamics", *COMPARED], lines)
+    return table(["agent", "robot", "runs", "gradient steps", "train dynamics", *COMPARED], lines)
 
 
 def adaptation(curves: Mapping[str, Mapping[int, float]]) -> str:
@@ -145,13 +144,13 @@ def adaptation(curves: Mapping[str, Mapping[int, float]]) -> str:
         [f"`{name}`", *(f"{curve[step]:.1f}" if step in curve else "–" for step in steps)]
         for name, curve in curves.items()
     ]
-    return _table(["run", *(f"{step:,}" for step in steps)], lines)
+    return table(["run", *(f"{step:,}" for step in steps)], lines)
 
 
 def compute(times: Mapping[str, float], published: str) -> str:
     """Seconds of each agent, and beside DADT's."""
     lines = [[name, f"{value:.3f}", f"{value / times['dadt']:.2f}"] for name, value in times.items()]
-    return _table(["agent", published, "beside DADT's"], lines)
+    return table(["agent", published, "beside DADT's"], lines)
 
 
 def _published(score: Score | None) -> str:
@@ -170,9 +169,6 @@ def _evidence(one: Evidence) -> str:
     text = f"{one.what}: {one.estimate.value:.2f}"
     if one.estimate.interval is not None:
         text += " [{:.2f}, {:.2f}]".format(*one.estimate.interval)
-    return f"{text} ({', '.join(one.robots)}; {one.runs} run{'s' * (one.runs != 1)} each)"
-
-
-def _table(header: list[str], rows: list[list[str]], numbers: bool = True) -> str:
-    rule = ["---", *["---:" if numbers else "---"] * (len(header) - 1)]
-    return "".join("| " + " | ".join(row) + " |\n" for row in (header, rule, *rows))
+    fewest, most = sorted(one.runs)
+    runs = f"{most} run{'s' * (most != 1)} each" if fewest == most else f"{one.runs[0]} and {one.runs[1]} runs"
+    return f"{text} ({', '.join(one.robots)}; {runs})"

@@ -24,6 +24,7 @@ from dynagen_bench.datasets.flat_files import ROW_ARRAYS
 from dynagen_bench.datasets.manifest import read_manifest
 from dynagen_bench.datasets.scores import Reference
 from dynagen_bench.datasets.subsets import ADAPTATION_EPISODES, spread_episodes, worst_episodes
+from dynagen_bench.markdown import table
 from dynagen_bench.whole import whole_file
 
 LICENCE: Final = "MIT, as everything in the repository"
@@ -172,7 +173,7 @@ def data_card(robot: str, splits: Mapping[str, OfflineDataset], stored: Sequence
             f"Made by `dynagen data card {robot}`. Every return is that of one stochastic episode of at most 200",
             "steps, undiscounted.",
             "",
-            *_facts(splits, stored),
+            _facts(splits, stored),
             "",
             "## Learning curves",
             "",
@@ -186,17 +187,17 @@ def data_card(robot: str, splits: Mapping[str, OfflineDataset], stored: Sequence
             "",
             "The paper's dynamics are other draws: the columns are not comparable one by one, their size is.",
             "",
-            *_paper_table(robot, splits["test"]),
+            _paper_table(robot, splits["test"]),
             "",
             "## Returns of every dynamics",
             "",
-            *_return_table(splits),
+            _return_table(splits),
             "",
             "## Mean return by snapshot",
             "",
             "Columns are environment steps of the SAC run, in thousands.",
             "",
-            *_snapshot_table(splits),
+            _snapshot_table(splits),
             "",
             "## Parts of the data",
             "",
@@ -209,13 +210,13 @@ def data_card(robot: str, splits: Mapping[str, OfflineDataset], stored: Sequence
             "The first 16 digits of each content hash; `dynagen_bench/datasets/manifest.json` has all of them, and",
             f"`dynagen data verify {robot}` reads every episode again and compares. A MB is 10⁶ bytes.",
             "",
-            *_dataset_table(stored),
+            _dataset_table(stored),
             "",
         ]
     )
 
 
-def _facts(splits: Mapping[str, OfflineDataset], stored: Sequence[Stored]) -> list[str]:
+def _facts(splits: Mapping[str, OfflineDataset], stored: Sequence[Stored]) -> str:
     episodes = sum(len(dataset.episode_lengths) for dataset in splits.values())
     steps = sum(dataset.num_steps for dataset in splits.values())
     flat = sum(getattr(dataset, name).nbytes for dataset in splits.values() for name in ROW_ARRAYS)
@@ -231,7 +232,7 @@ def _facts(splits: Mapping[str, OfflineDataset], stored: Sequence[Stored]) -> li
         ["official", f"{sum(dataset.official for dataset in stored)} of {len(stored)} have the manifest's hash"],
         ["licence", LICENCE],
     ]
-    return _table(["", ""], rows, numbers=False)
+    return table(["", ""], rows, numbers_from=None)
 
 
 def _low_quality(train: OfflineDataset) -> list[str]:
@@ -244,7 +245,7 @@ def _low_quality(train: OfflineDataset) -> list[str]:
         f"{len(part.episode_lengths):,} episodes, {part.num_steps:,} steps, the worst of all train dynamics together.",
         f"None returns more than {part.episode_returns.max():.1f}; {missing}:",
         "",
-        *_table(["", *[f"train{index}" for index in present]], [["episodes", *[f"{count}" for count in counts]]]),
+        table(["", *[f"train{index}" for index in present]], [["episodes", *[f"{count}" for count in counts]]]),
     ]
 
 
@@ -258,11 +259,11 @@ def _adaptation(test: OfflineDataset) -> list[str]:
         f"`load_adaptation(robot, index)`: {ADAPTATION_EPISODES} episodes of one test dynamics, spread evenly over the "
         "ranks of their returns:",
         "",
-        *_table(["", *[f"{number}" for number in range(1, len(rows[0]))]], rows),
+        table(["", *[f"{number}" for number in range(1, len(rows[0]))]], rows),
     ]
 
 
-def _dataset_table(stored: Sequence[Stored]) -> list[str]:
+def _dataset_table(stored: Sequence[Stored]) -> str:
     rows = [
         [
             f"`{dataset.dataset_id}`",
@@ -274,7 +275,7 @@ def _dataset_table(stored: Sequence[Stored]) -> list[str]:
         ]
         for dataset in stored
     ]
-    return _table(["dataset", "episodes", "steps", "MB", "sha256", "official"], rows)
+    return table(["dataset", "episodes", "steps", "MB", "sha256", "official"], rows)
 
 
 def _returns(dataset: OfflineDataset, index: int) -> NDArray[np.float64]:
@@ -282,12 +283,7 @@ def _returns(dataset: OfflineDataset, index: int) -> NDArray[np.float64]:
     return returns
 
 
-def _table(header: list[str], rows: list[list[str]], numbers: bool = True) -> list[str]:
-    rule = ["---", *["---:" if numbers else "---"] * (len(header) - 1)]
-    return ["| " + " | ".join(row) + " |" for row in (header, rule, *rows)]
-
-
-def _paper_table(robot: str, test: OfflineDataset) -> list[str]:
+def _paper_table(robot: str, test: OfflineDataset) -> str:
     paper = PAPER_RETURNS[robot]
     rows = []
     for name in ids.dynamics_ids(robot, ("test",)):
@@ -295,10 +291,10 @@ def _paper_table(robot: str, test: OfflineDataset) -> list[str]:
         ours = [f"{returns.min():.2f}", f"{returns.max():.2f}", f"{returns.mean():.2f}"]
         theirs = ["–" if math.isnan(number) else f"{number:.2f}" for number in paper[name.index]]
         rows.append([name.label, *ours, f"dynamics {20 + name.index}", *theirs])
-    return _table(["ours", "min", "max", "mean", "the paper's", "min", "max", "mean"], rows)
+    return table(["ours", "min", "max", "mean", "the paper's", "min", "max", "mean"], rows)
 
 
-def _return_table(splits: Mapping[str, OfflineDataset]) -> list[str]:
+def _return_table(splits: Mapping[str, OfflineDataset]) -> str:
     rows = []
     for split, dataset in splits.items():
         for index in np.unique(dataset.episode_dynamics):
@@ -308,10 +304,10 @@ def _return_table(splits: Mapping[str, OfflineDataset]) -> list[str]:
             numbers = [returns.min(), low, middle, high, returns.max(), returns.mean(), lengths.mean()]
             early = f"{100 * dataset.episode_terminated[chosen].mean():.0f} %"
             rows.append([f"{split}{index}", *[f"{number:.1f}" for number in numbers], early])
-    return _table(["", "min", "10 %", "median", "90 %", "max", "mean", "mean length", "terminated"], rows)
+    return table(["", "min", "10 %", "median", "90 %", "max", "mean", "mean length", "terminated"], rows)
 
 
-def _snapshot_table(splits: Mapping[str, OfflineDataset]) -> list[str]:
+def _snapshot_table(splits: Mapping[str, OfflineDataset]) -> str:
     snapshots = np.unique(np.concatenate([dataset.episode_snapshots for dataset in splits.values()]))
     rows = []
     for split, dataset in splits.items():
@@ -321,4 +317,4 @@ def _snapshot_table(splits: Mapping[str, OfflineDataset]) -> list[str]:
                 chosen = (dataset.episode_dynamics == index) & (dataset.episode_snapshots == snapshot)
                 means.append(f"{dataset.episode_returns[chosen].mean():.0f}")
             rows.append([f"{split}{index}", *means])
-    return _table(["", *[f"{snapshot // 1000}" for snapshot in snapshots]], rows)
+    return table(["", *[f"{snapshot // 1000}" for snapshot in snapshots]], rows)

@@ -27,6 +27,7 @@ from dynagen_bench.envs.robots import ROBOT_CLASSES
 from dynagen_bench.envs.rules import Rules
 from dynagen_bench.envs.single import RENDER_KEYWORDS, RandomDynamics
 from dynagen_bench.envs.vector import RandomDynamicsVector
+from dynagen_bench.markdown import table
 from dynagen_bench.whole import whole_file
 
 HEADINGS: Final = {
@@ -183,7 +184,7 @@ def _info(robot: str) -> list[str]:
         [f"`{key}`", *("yes" if key in given else "" for given in (at_reset, at_step)), INFO[key]]
         for key in sorted(at_reset | at_step, key=list(INFO).index)
     ]
-    return ["## Info", _table(["key", "reset", "step", "meaning"], rows)]
+    return ["## Info", table(["key", "reset", "step", "meaning"], rows, numbers_from=None)]
 
 
 def _keywords(robot_class: type[RandomDynamics]) -> list[str]:
@@ -197,7 +198,7 @@ def _keywords(robot_class: type[RandomDynamics]) -> list[str]:
     rendering = ", ".join(f"`{name}`" for name in RENDER_KEYWORDS)
     return [
         "## Keyword arguments",
-        _table(["keyword", "default", "Gymnasium's", "meaning"], rows),
+        table(["keyword", "default", "Gymnasium's", "meaning"], rows, numbers_from=None),
         f"Rendering is Gymnasium's own: {rendering}.",
     ]
 
@@ -209,7 +210,11 @@ def _many(robot: str) -> list[str]:
             f'`gymnasium.make_vec("{ids.v0_env_id(robot)}", num_envs=N)` steps N sub-environments together on threads, '
             "and gives the bits of N single ones. It takes the fields and the rendering arguments above, and:"
         ),
-        _table(["keyword", "default", "meaning"], list(_arguments(RandomDynamicsVector, left_out=("robot", "kwargs")))),
+        table(
+            ["keyword", "default", "meaning"],
+            list(_arguments(RandomDynamicsVector, left_out=("robot", "kwargs"))),
+            numbers_from=None,
+        ),
     ]
 
 
@@ -255,7 +260,7 @@ def _variation(robot: str) -> list[str]:
         blocks += [
             f"### {parameter.field}",
             f"{parameter.meaning.capitalize()}.{NUMBERS.get(parameter.field, '')}",
-            _table(header, rows, numbers_from=1),
+            table(header, rows, numbers_from=1),
         ]
     return blocks
 
@@ -272,7 +277,7 @@ def _drawing(robot: str) -> list[str]:
     return [
         "## How it was drawn",
         f"A factor is base^r, r ~ Uniform(−{draws.LOG_RANGE:g}, {draws.LOG_RANGE:g}), on the nominal value:",
-        _table(["parameter", "unit", "factor", "from", "to", "elements"], rows, numbers_from=2),
+        table(["parameter", "unit", "factor", "from", "to", "elements"], rows, numbers_from=2),
         _prose(f"{order} What MuJoCo derives from masses, inertias and friction is computed anew."),
         _prose(
             f"The draws are those of `numpy.random.SeedSequence({draws.SEED}, spawn_key=({robot_number}, split, "
@@ -293,19 +298,13 @@ def _test_factors(robot: str) -> list[str]:
     header = ["parameter", "element", *[name.label for name in ids.dynamics_ids(robot, ("test",))]]
     return [
         "<details>\n<summary>Factors of the five test dynamics</summary>",
-        _table(header, rows, numbers_from=2),
+        table(header, rows, numbers_from=2),
         "</details>",
     ]
 
 
 def _prose(text: str) -> str:
     return textwrap.fill(text, 120, break_long_words=False, break_on_hyphens=False)
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]], numbers_from: int | None = None) -> str:
-    first = len(header) if numbers_from is None else numbers_from
-    rule = ["---"] * first + ["---:"] * (len(header) - first)
-    return "\n".join("| " + " | ".join(row) + " |" for row in (header, rule, *rows))
 
 
 def _range(factors: NDArray[np.float64]) -> list[str]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dynagen_bench import ids
+from dynagen_bench.markdown import table
 
 
 def runs(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
@@ -21,12 +22,6 @@ def runs(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
         names = [str(value) for key, value in (run["params"] or {}).items() if key != "robot"]
         groups.setdefault(run["group"], {})[names[0] if names else run["name"]] = run
     return groups
-
-
-def table(header: list[str], rows: list[list[str]]) -> str:
-    """Markdown."""
-    rule = ["---", *["---:"] * (len(header) - 1)]
-    return "\n".join("| " + " | ".join(row) + " |" for row in (header, rule, *rows)) + "\n"
 
 
 def stepping(groups: dict[str, dict[str, dict[str, Any]]]) -> str:
@@ -65,5 +60,4 @@ def growth(groups: dict[str, dict[str, dict[str, Any]]]) -> str:
 
 if __name__ == "__main__":
     read = runs(Path(sys.argv[1]))
-    print(stepping(read))
-    print(growth(read))
+    print(f"{stepping(read)}\n\n{growth(read)}")

@@ -5,6 +5,7 @@ import pytest
 
 from leaderboard.entries import Entry
 from leaderboard.statistics import Estimate
+from results import tables
 from results.claims import Evidence, claims, final_scores
 from results.kept import Errors, keep, kept_runs
 from tests.evaluation.samples import submission
@@ -31,10 +32,16 @@ def test_nothing_is_claimed_of_what_has_not_been_run():
 def test_a_claim_holds_where_every_run_is_better():
     dadt, dt = entry("dadt-zero-shot-last", [100.0, 110.0, 120.0]), entry("dt-zero-shot-last", [60.0, 70.0, 80.0])
     (evidence,) = verdicts([dadt, dt])[BETTER].evidence
-    assert evidence == Evidence("DADT > DT", Estimate(1.0, (1.0, 1.0)), ("Hopper",), 3)
+    assert evidence == Evidence("DADT > DT", Estimate(1.0, (1.0, 1.0)), ("Hopper",), (3, 3))
     assert verdicts([dadt, dt])[BETTER].verdict == "holds"
+    assert "1.00 [1.00, 1.00] (Hopper; 3 runs each)" in tables.verdicts([verdicts([dadt, dt])[BETTER]])
     swapped = [entry("dadt-zero-shot-last", [60.0, 70.0]), entry("dt-zero-shot-last", [100.0, 110.0])]
     assert verdicts(swapped)[BETTER].verdict == "does not hold"
+
+
+def test_the_runs_of_both_sides_are_told_where_they_differ():
+    dadt, dt = entry("dadt-zero-shot-last", [100.0, 110.0, 120.0]), entry("dt-zero-shot-last", [60.0, 70.0])
+    assert "(Hopper; 3 and 2 runs)" in tables.verdicts([verdicts([dadt, dt])[BETTER]])
 
 
 def test_runs_that_are_mixed_decide_nothing():
