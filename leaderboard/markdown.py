@@ -38,6 +38,8 @@ episodes: *self-reported* were only sent in, *replayed* were found by stepping e
 of *re-run* the maintainers have run the policy itself. The behaviour data were collected in the test dynamics
 themselves: a reference, and no entry.
 
+Entries stand in the order of their sum over robots, to which a robot without runs adds nothing.
+
 Where an entry has two runs or more, a second table gives the interquartile mean of the scores of its runs in each
 dynamics, a 95 % interval (stratified bootstrap over runs) and its rank. Entries whose intervals overlap share ranks:
 the rank is a range, from one more than the entries whose interval lies wholly above, to all but those wholly below.

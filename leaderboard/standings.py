@@ -4,6 +4,7 @@ What is here: `standings`, one table a track and checkpoint. Called by the Markd
 must not know files.
 """
 
+import math
 import statistics
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -128,7 +129,11 @@ def standings(entries: Sequence[Entry]) -> list[Table]:
 
 
 def _ranked(entries: Sequence[Entry]) -> list[Row]:
-    """Rows of one table: references last, more robots first, then the higher mean over robots, then by slug."""
+    """Rows of one table: references last, then the higher sum over robots, then by slug.
+
+    A robot without runs adds nothing, as one on which the agent is no better than the worst of the data: who has run on
+    one robot only stands above a random policy that has run on all, and below who does as well on two.
+    """
     rows = [Row(entry, *_cells(entry.submission)) for entry in entries]
     competing = [row for row in rows if row.competes]
     for robot in ids.ROBOTS:
@@ -143,8 +148,7 @@ def _ranked(entries: Sequence[Entry]) -> list[Row]:
         rows,
         key=lambda row: (
             not row.competes,
-            -len(row.cells),
-            -statistics.fmean(cell.mean for cell in row.cells.values()),
+            -math.fsum(cell.mean for cell in row.cells.values()),
             row.entry.slug,
         ),
     )

@@ -68,6 +68,18 @@ def test_interquartile_means_and_ranks_by_hand(references):
     assert found["below"].overall is None
 
 
+def test_a_random_policy_on_two_robots_stands_below_an_agent_on_one(references):
+    write_references(references)
+    found = rows(
+        [
+            entry("a-random", {"Hopper": [-10.0, -20.0], "Ant": [-5.0, 5.0]}),  # scores −5, −10 and −2.5, 2.5
+            entry("one-robot", {"Hopper": [80.0, 100.0]}),
+            entry("two-robots", {"Hopper": [80.0, 100.0], "Ant": [2.0, 4.0]}),
+        ]
+    )
+    assert list(found) == ["two-robots", "one-robot", "a-random"]
+
+
 def test_who_knew_the_test_dynamics_is_neither_marked_nor_ranked():
     found = rows(
         [
@@ -109,10 +121,11 @@ def test_bold_is_within_one_deviation_of_the_best():
     assert found["own-deviation"].cells["Ant"].bold
 
 
-def test_more_robots_then_higher_means_then_slugs_come_first():
+def test_higher_sums_then_slugs_come_first(references):
+    write_references(references)
     entries = [
         entry("low", {"Hopper": [10.0]}),
-        entry("two-robots", {"Hopper": [0.0], "Ant": [0.0]}),
+        entry("two-robots", {"Hopper": [80.0], "Ant": [20.0]}),
         entry("b-high", {"Hopper": [90.0]}),
         entry("a-high", {"Hopper": [90.0]}),
     ]
