@@ -14,6 +14,7 @@ benchmark. Called by the command line and the page. It must not know how anythin
 
 import csv
 import json
+import shlex
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -81,10 +82,14 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
 
 def _plain(command: str | None) -> str | None:
     """A command without the options that say where a run was made."""
-    words = (command or "").split()
     where = [f"--{setting}" for setting in _OF_A_MACHINE]
-    kept = [word for i, word in enumerate(words) if word not in where and (i == 0 or words[i - 1] not in where)]
-    return " ".join(kept) or None
+    words = shlex.split(command or "")
+    kept = [
+        word
+        for before, word in zip(["", *words], words, strict=False)
+        if before not in where and word.partition("=")[0] not in where
+    ]
+    return shlex.join(kept) or None
 
 
 def _check_finished(run: Path, steps: int) -> None:

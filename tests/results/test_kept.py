@@ -17,6 +17,16 @@ def test_a_kept_run_has_its_curves_and_no_weights_nor_paths(trained, tmp_path):
     assert (run.seed, run.step, run.curves["loss"]) == (0, 200, {100: 1.0, 200: 0.5})
 
 
+@pytest.mark.parametrize("where", ["--runs '/home/somebody/my runs'", "'--runs=/home/somebody/my runs'"])
+def test_a_kept_command_tells_no_folder_however_it_is_written(trained, tmp_path, where):
+    run = trained("dadt")
+    config = json.loads((run / "config.json").read_text())
+    config["command"] = f"python -m agents.train dadt {where} --threads=2 --seed 0"
+    (run / "config.json").write_text(json.dumps(config))
+    (place,) = keep([run], "reference", tmp_path / "kept")
+    assert json.loads((place / "config.json").read_text())["command"] == "python -m agents.train dadt --seed 0"
+
+
 def test_errors_are_grouped_by_agent_and_robot(trained, tmp_path):
     runs = [trained("dadt", seed, errors=[0.1 * (seed + 1)] * 5) for seed in range(2)]
     keep([*runs, trained("mlp", errors=[0.3] * 5)], "reference", tmp_path)
