@@ -10,7 +10,7 @@ from dynagen_bench.datasets import reference_scores
 from dynagen_bench.datasets.manifest import check_official, read_manifest
 from dynagen_bench.datasets.scores import normalized_score, score_range
 
-COLLECTED = ("Hopper", "HalfCheetah")
+COLLECTED = ("Walker", "Hopper", "HalfCheetah")
 """Robots whose behaviour policies are in the package."""
 
 
@@ -42,7 +42,7 @@ def test_manifest_and_scores_are_complete(robot):
     assert normalized_score(robot, [low, high]).tolist() == [0.0, 100.0]
 
 
-@pytest.mark.parametrize(("robot", "label"), [("Hopper", "test3"), ("Hopper", "train0"), ("HalfCheetah", "test1")])
+@pytest.mark.parametrize(("robot", "label"), [("Walker", "test3"), ("Hopper", "train0"), ("HalfCheetah", "test1")])
 def test_this_machine_rebuilds_the_official_data(robot, label):
     name = ids.parse_label(robot, label)
     record = build_dataset(name, every=4)
