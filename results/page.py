@@ -93,7 +93,16 @@ The counterpart of the paper's Figure 3, from one run of `python -m pytest tests
 COST: Final = """\
 A million gradient steps, the paper's budget, five runs on each of the five robots, would take by these times what
 follows. The 25 runs of an agent are independent jobs ([sweeps.md](sweeps.md)). On one GPU, an RTX 2080 Ti, the paper's
-authors report at most 8 hours for a run of DADT, which is 200 for 25. Energy has not been measured.
+authors report at most 8 hours for a run of DADT, which is 200 for 25, and 50 kWh at its rated 250 W. Energy here is
+that of the processor alone, one core at its share of the rated power (360 W for 96 cores): an estimate, no measurement.
+"""
+
+
+RUN: Final = """\
+## What was run
+
+Means over the seeds of a line. The wall clock is that of one thread on a machine that did other things too; the energy
+is estimated from it as above.
 """
 
 
@@ -118,7 +127,7 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
         *_learning(folder),
         *_choices(folder),
         *_compute(folder),
-        "## What was run\n\nThe wall clock is that of a machine that did other things too.\n",
+        RUN,
         tables.training(runs),
     ]
     return {PAGE: "\n\n".join(part.strip("\n") for part in parts) + "\n", **figures}

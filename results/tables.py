@@ -29,6 +29,10 @@ PAPER_RUNS: Final = 5
 CLUSTER: Final = 25
 """Threads, of a cluster for example, that the runs of an agent keep busy, one each."""
 
+WATTS: Final = 360 / 96
+"""Rated power of one core: AMD's EPYC 9654, of the family that the runs were made on, has 96 at 360 W. No memory, no
+cooling, no losses; the machine that trains shows no meter of its own."""
+
 
 def scores(entries: Sequence[Entry], track: str) -> str:
     """Scores of one track by robot, the last checkpoint's, ours and the paper's (its Tables 1, 2 and 7)."""
@@ -89,11 +93,12 @@ def training(runs: Sequence[Run]) -> str:
         rate = f"{config['learning_rate']:g}"
         if config.get("warmup_steps"):
             rate += f" after {config['warmup_steps']:,} steps of warm-up"
-        took = f"{60 * sum(hours) / len(hours):.1f} min"
+        mean = sum(hours) / len(hours)
+        took = [f"{60 * mean:.1f} min", f"{WATTS * mean:.2f} Wh"]
         commit = f"`{first.about['commit'][:7]}`"
         cells = [escape(group.label), group.robot, seeds, f"{first.step:,}", f"{config['batch_size']}", rate]
-        lines.append([*cells, took, commit])
-    header = ["agent", "robot", "seeds", "gradient steps", "batch", "learning rate", "wall clock", "commit"]
+        lines.append([*cells, *took, commit])
+    header = ["agent", "robot", "seeds", "gradient steps", "batch", "learning rate", "wall clock", "energy", "commit"]
     return table(header, lines, numbers_from=None)
 
 
@@ -103,8 +108,10 @@ def cost(times: Mapping[str, float]) -> str:
     for name, seconds in times.items():
         hours = PAPER_STEPS * seconds / 3600
         every = hours * PAPER_RUNS * len(ids.ROBOTS)
-        lines.append([name, f"{seconds:.3f}", f"{hours:,.0f}", f"{every:,.0f}", f"{every / CLUSTER:,.0f}"])
-    header = ["agent", "a step, s", "a run, hours", "25 runs, hours on one thread", f"hours on {CLUSTER} threads"]
+        energy = f"{WATTS * every / 1000:,.1f}"
+        lines.append([name, f"{seconds:.3f}", f"{hours:,.0f}", f"{every:,.0f}", f"{every / CLUSTER:,.0f}", energy])
+    of_one, of_many = "25 runs, hours on one thread", f"hours on {CLUSTER} threads"
+    header = ["agent", "a step, s", "a run, hours", of_one, of_many, "25 runs, kWh"]
     return table(header, lines)
 
 

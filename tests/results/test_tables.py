@@ -1,0 +1,28 @@
+"""Hand-computed cells: time and energy of runs and of the paper's budget."""
+
+from results import tables
+from results.kept import keep, kept_runs
+
+
+def cells(markdown, line):
+    """The cells of a line of a table, counted from the header."""
+    return [cell.strip() for cell in markdown.splitlines()[line].strip("|").split("|")]
+
+
+def test_the_papers_budget_in_hours_and_kilowatt_hours():
+    found = tables.cost({"dadt": 0.36})
+    # 1M steps of 0.36 s are 100 hours; 25 such runs 2,500; at 360 W / 96 cores 9.375 kWh
+    assert cells(found, 2) == ["dadt", "0.360", "100", "2,500", "100", "9.4"]
+
+
+def test_time_and_energy_of_a_run_are_means_over_its_seeds(trained, tmp_path):
+    runs = [trained("dadt", seed) for seed in range(2)]
+    for run, seconds in zip(runs, (3600, 7200), strict=True):
+        (run / "curves.csv").write_text(f"step,loss,seconds\n100,1.0,30\n200,0.5,{seconds}\n")
+    keep(runs, "reference", tmp_path / "kept")
+    found = dict(
+        zip(*(cells(tables.training(kept_runs("reference", tmp_path / "kept")), i) for i in (0, 2)), strict=True)
+    )
+    assert found["seeds"] == "0, 1"
+    assert found["wall clock"] == "90.0 min"
+    assert found["energy"] == "5.62 Wh"  # 1.5 hours at 3.75 W
