@@ -50,6 +50,7 @@ def submit(
     submission = read_official(folder)
     run_scores(submission)  # there have to be reference scores
     _check_name(board, slug_of(submission), replace)
+    _check_own(folder, submission, read_entries(board) if board.is_dir() else [])
     checks = verify(folder, submission, done)
     faults = [fault for check in checks for fault in check.faults]
     if faults:
@@ -58,6 +59,7 @@ def submit(
     entry = Entry(slug_of(submission), _with_returns(submission, checks), label_of(checks))
     with _locked(board):
         _check_name(board, entry.slug, replace)
+        _check_own(folder, submission, read_entries(board))
         _put(board, entry, folder)
     return entry
 
@@ -96,10 +98,16 @@ def verify_entries(board: Path = BOARD, done: Callable[[RunCheck], None] = ignor
     """Replay every entry of a board: slug → what was found of its runs.
 
     An entry whose label says more than its replay has a fault, too: what is exact only on the board's own machine is
-    replayed within the tolerance elsewhere, and that is none.
+    replayed within the tolerance elsewhere, and that is none. That maintainers have run a policy themselves (`re-run`)
+    no replay can show: that label is the word of who committed it.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_entries` does; two agents have the same episodes.
     """
     found = {}
-    for entry in read_entries(board):
+    entries = read_entries(board)
+    for entry in entries:
+        _check_own(board / FOLDER / entry.slug, entry.submission, entries)
         checks = verify(board / FOLDER / entry.slug, entry.submission, done)
         if entry.label != "self-reported" and any(check.label == "self-reported" for check in checks):
             line = (
@@ -142,6 +150,23 @@ def _locked(board: Path) -> Iterator[None]:
 def _check_name(board: Path, slug: str, replace: bool) -> None:
     if not replace and (board / FOLDER / slug).is_dir():
         raise FileExistsError(f"{board} has an entry {slug!r}: give --replace, or another name to the agent")
+
+
+def _check_own(folder: Path, submission: Submission, entries: Sequence[Entry]) -> None:
+    """Raise ValueError for a run that an entry of another agent has: episodes are of who acted in them."""
+    theirs = {
+        run.trace: entry.slug
+        for entry in entries
+        if entry.submission.agent != submission.agent
+        for run in entry.submission.runs
+        if run.trace is not None
+    }
+    for number, run in enumerate(submission.runs):
+        if run.trace in theirs:
+            raise ValueError(
+                f"{folder / FILE_NAME}: runs.{number}.trace: these are the episodes of the entry "
+                f"{theirs[run.trace]!r}: give the agent that name, or its own runs"
+            )
 
 
 def _with_returns(submission: Submission, checks: Sequence[RunCheck]) -> Submission:

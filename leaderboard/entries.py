@@ -60,6 +60,11 @@ class Entry:
     submission: Submission
     label: Label = "self-reported"
 
+    @property
+    def replayed(self) -> bool:
+        """Whether its returns were found by stepping its episodes again; else they are only what was sent in."""
+        return self.label != "self-reported"
+
 
 class Verdict(pydantic.BaseModel):
     """What the board found when it verified an entry; it says so itself, no submission does."""

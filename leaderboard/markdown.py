@@ -32,8 +32,8 @@ Made by `python -m leaderboard build` from the entries beside it; changes by han
 
 A score is 100 · (mean return − min) / (max − min): {EPISODES} episodes of up to {HORIZON} steps in each test dynamics
 of a robot, min and max over the returns of those dynamics' data. Given is the mean over runs ± their sample standard
-deviation; **bold** is within one standard deviation of the best of its table. A full entry has {RUNS} runs on each of
-the {len(ids.ROBOTS)} robots, others are marked *partial*. Every number is computed from the returns of the entry's
+deviation; **bold** is within one standard deviation of the best of its column. A full entry has {RUNS} runs on each
+of the {len(ids.ROBOTS)} robots, others are marked *partial*. Every number is computed from the returns of the entry's
 episodes: *self-reported* were only sent in, *replayed* were found by stepping every episode again from its trace, and
 of *re-run* the maintainers have run the policy itself. The behaviour data were collected in the test dynamics
 themselves: a reference, and no entry.
@@ -43,7 +43,7 @@ Entries stand in the order of their sum over robots, to which a robot without ru
 Where an entry has two runs or more, a second table gives the interquartile mean of the scores of its runs in each
 dynamics, a 95 % interval (stratified bootstrap over runs) and its rank. Entries whose intervals overlap share ranks:
 the rank is a range, from one more than the entries whose interval lies wholly above, to all but those wholly below.
-What knew the test dynamics themselves is a reference too: it is neither bold nor ranked.
+What knew the test dynamics themselves is a reference too: it is neither bold nor ranked. Nor is what is self-reported.
 """
 
 _ENTITIES: Final = {"&": "&amp;", "<": "&lt;", ">": "&gt;"}

@@ -59,9 +59,14 @@ class Row(NamedTuple):
     """Over all robots; None where one is missing."""
 
     @property
+    def reference(self) -> bool:
+        """Whether it knew the test dynamics themselves."""
+        return self.entry.submission.privileged == REFERENCE
+
+    @property
     def competes(self) -> bool:
-        """Whether it is marked and ranked; a reference is not."""
-        return self.entry.submission.privileged != REFERENCE
+        """Whether it is marked and ranked: neither a reference is, nor numbers that nobody has replayed."""
+        return not self.reference and self.entry.replayed
 
     @property
     def partial(self) -> bool:
@@ -70,7 +75,7 @@ class Row(NamedTuple):
 
 
 class Table(NamedTuple):
-    """The entries of one track and one kind of checkpoint, the best first and references last."""
+    """The entries of one track and one kind of checkpoint: the best first; last the not replayed, and references."""
 
     track: str
     checkpoint: str
@@ -129,7 +134,7 @@ def standings(entries: Sequence[Entry]) -> list[Table]:
 
 
 def _ranked(entries: Sequence[Entry]) -> list[Row]:
-    """Rows of one table: references last, then the higher sum over robots, then by slug.
+    """Rows of one table: who competes, then self-reported ones, then references; the higher sum over robots, by slug.
 
     A robot without runs adds nothing, as one on which the agent is no better than the worst of the data: who has run on
     one robot only stands above a random policy that has run on all, and below who does as well on two.
@@ -147,6 +152,7 @@ def _ranked(entries: Sequence[Entry]) -> list[Row]:
     return sorted(
         rows,
         key=lambda row: (
+            row.reference,
             not row.competes,
             -math.fsum(cell.mean for cell in row.cells.values()),
             row.entry.slug,

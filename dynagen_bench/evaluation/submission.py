@@ -154,12 +154,28 @@ class Submission(pydantic.BaseModel):
     @pydantic.model_validator(mode="after")
     def _distinct_runs(self) -> "Submission":
         seen: dict[tuple[str, int], int] = {}
+        traces: dict[str | None, int] = {}
         for number, run in enumerate(self.runs):
             first = seen.setdefault((run.robot, run.seed), number)
             if first != number:
                 raise ValueError(
                     f"runs {first} and {number} are both {run.robot} with seed {run.seed}: give each run once"
                 )
+            same = traces.setdefault(run.trace, number)
+            if run.trace is not None and same != number:
+                raise ValueError(
+                    f"runs {same} and {number} have the same trace, they are one run: give it once, "
+                    "runs of other seeds do something else"
+                )
+        return self
+
+    @pydantic.model_validator(mode="after")
+    def _zero_shot_has_no_data(self) -> "Submission":
+        if self.track == "zero-shot" and self.privileged == "offline-context":
+            raise ValueError(
+                "track: 'zero-shot' takes no data of the test dynamics, and privileged is 'offline-context': "
+                "write the track 'adaptation'"
+            )
         return self
 
 

@@ -35,8 +35,8 @@ function value(row, head) {
     return given === undefined ? null : Number(given);
   }
   if (head.dataset.key === "rank") {
-    const given = row.querySelector("[data-rank]:not([hidden])").dataset.value;
-    return given === "" ? null : Number(given);
+    const given = row.querySelector("[data-rank]:not([hidden])")?.dataset.value;
+    return given ? Number(given) : null;  // a table without the chosen robot has no rank to show
   }
   return row.cells[head.cellIndex].dataset.text.toLowerCase();
 }

@@ -54,10 +54,18 @@ def submission(runs: dict[str, list[float]] | None = None, **fields: Any) -> Sub
 
 
 def traced(
-    folder: Path, robots: tuple[str, ...] = ("Hopper",), seeds: tuple[int, ...] = (0,), **fields: Any
+    folder: Path,
+    robots: tuple[str, ...] = ("Hopper",),
+    seeds: tuple[int, ...] = (0,),
+    *,
+    apart: int = 0,
+    **fields: Any,
 ) -> Submission:
-    """Write a submission of short real episodes, of random actions, with their traces, and return it."""
-    found = {(robot, seed): evaluate(RandomPolicy(robot, seed), robot) for robot in robots for seed in seeds}
+    """Write a submission of short real episodes, of random actions, with their traces, and return it.
+
+    Those of the same seed and the same `apart` are the same episodes: two agents of one board need another.
+    """
+    found = {(robot, seed): evaluate(RandomPolicy(robot, apart + seed), robot) for robot in robots for seed in seeds}
     runs = [Run.from_evaluation(one, seed=seed, gradient_steps=0) for (_, seed), one in found.items()]
     made = submission().model_copy(update={"format_version": 2, "runs": runs} | fields)
     write_submission(folder, made, [one.traces for one in found.values() if one.traces is not None])

@@ -35,7 +35,7 @@ def test_a_submission_is_copied_and_the_page_made(folder, board):
     assert entry.slug == "dadt-zero-shot-last"
     assert list(contents(board)) == [PAGE, f"entries/{entry.slug}/{FILE_NAME}", SITE]
     assert read_entries(board) == [entry]
-    assert "**50.00 ± 14.14 (2 runs)**" in (board / PAGE).read_text(encoding="utf-8")
+    assert "| 50.00 ± 14.14 (2 runs) |" in (board / PAGE).read_text(encoding="utf-8")
     assert is_current(board)
 
 
@@ -57,7 +57,7 @@ def test_an_entry_is_replaced_only_when_asked(folder, board, tmp_path):
         submit(tmp_path / "other", board)
     assert contents(board) == before
     submit(tmp_path / "other", board, replace=True)
-    assert "**100.00 (1 run)**" in (board / PAGE).read_text(encoding="utf-8")
+    assert "| 100.00 (1 run) |" in (board / PAGE).read_text(encoding="utf-8")
     assert len(read_entries(board)) == 1
 
 

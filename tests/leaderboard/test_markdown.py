@@ -99,8 +99,13 @@ def test_numbers():
 
 def test_the_table_by_hand():
     entries = [
-        Entry("b", submission({"Hopper": [80.0, 100.0, 120.0], "Ant": [20.0]}, agent="B", privileged="own-history")),
+        Entry(
+            "b",
+            submission({"Hopper": [80.0, 100.0, 120.0], "Ant": [20.0]}, agent="B", privileged="own-history"),
+            "replayed (tolerance)",
+        ),
         Entry("a", submission({"Hopper": [20.0] * 5}, agent="A"), "replayed"),
+        Entry("c", submission({"Hopper": [190.0] * 2}, agent="C")),  # nobody has replayed it
     ]
     text = page(entries)
     assert "## Zero-shot, last checkpoint (official)" in text
@@ -110,8 +115,9 @@ def test_the_table_by_hand():
         "| Agent | Authors | Walker | Hopper | HalfCheetah | SlimHumanoid | Ant | Privileged | Label |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
         "| B *(partial)* | A\\. Author | – | **50.00 ± 10.00 (3 runs)** | – | – | **10.00 (1 run)** | own-history "
-        "| self-reported |",
+        "| replayed (tolerance) |",
         "| A *(partial)* | A\\. Author | – | 10.00 ± 0.00 | – | – | – | none | replayed |",
+        "| C *(partial)* | A\\. Author | – | 95.00 ± 0.00 (2 runs) | – | – | – | none | self-reported |",
         "| *behaviour data* |  | – | 26.00 | 26.00 | 26.00 | 26.00 |  | reference |",
     ]
     assert "| Hopper | 100.00 | 78.26 | 61.54 | 48.28 | 37.50 |" in text  # B's mean return 100 in each test dynamics
@@ -122,6 +128,7 @@ def test_the_table_by_hand():
         "| --- | --- | --- | --- | --- | --- | --- |",
         "| B | – | 50.00 [40.00, 60.00], 1 | – | – | – | – |",  # one run on Ant
         "| A | – | 10.00 [10.00, 10.00], 2 | – | – | – | – |",
+        "| C | – | 95.00 [95.00, 95.00] | – | – | – | – |",
     ]
     assert page(entries) == text
 

@@ -13,7 +13,7 @@ from tests.evaluation.samples import submission, write_references
 
 
 def entry(slug, runs, **fields):
-    return Entry(slug, submission(runs, **fields))
+    return Entry(slug, submission(runs, **fields), "replayed")
 
 
 def rows(entries):

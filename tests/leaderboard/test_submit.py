@@ -38,6 +38,34 @@ def test_a_run_without_traces_makes_the_whole_entry_self_reported(tmp_path, boar
     assert submit(tmp_path / "mine", board).label == "self-reported"
 
 
+def test_one_run_under_two_seeds_is_one_run(tmp_path, board):
+    made = traced(tmp_path / "mine")
+    runs = [made.runs[0], made.runs[0].model_copy(update={"seed": 1})]
+    (tmp_path / "mine" / FILE_NAME).write_text(made.model_copy(update={"runs": runs}).model_dump_json())
+    with pytest.raises(ValueError, match=r"runs 0 and 1 have the same trace, they are one run: give it once"):
+        submit(tmp_path / "mine", board)
+
+
+def test_the_episodes_of_another_agent_are_refused(tmp_path, board, capsys):
+    traced(tmp_path / "first", agent="first")
+    submit(tmp_path / "first", board)
+    traced(tmp_path / "copied", agent="copied")
+    with pytest.raises(ValueError, match=r"runs\.0\.trace: these are the episodes of the entry 'first-zero-shot-last'"):
+        submit(tmp_path / "copied", board)
+    traced(tmp_path / "best", agent="first", checkpoint="best")  # its last checkpoint may be its best
+    submit(tmp_path / "best", board)
+    place = board / "entries" / "copied-zero-shot-last"
+    (tmp_path / "copied").rename(place)  # as a pull request could bring it
+    assert main(["verify", "--all", "--board", str(board)]) == 2
+    assert "these are the episodes of the entry 'first-" in capsys.readouterr().err
+
+
+def test_data_of_the_test_dynamics_are_adaptation(tmp_path, board):
+    traced(tmp_path / "mine", privileged="offline-context")
+    with pytest.raises(ValueError, match=r"track: 'zero-shot' takes no data of the test dynamics.*'adaptation'"):
+        submit(tmp_path / "mine", board)
+
+
 def test_what_does_not_replay_leaves_the_board_alone(tmp_path, board):
     write_submission(tmp_path / "first", submission())
     submit(tmp_path / "first", board)
