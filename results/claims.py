@@ -4,8 +4,11 @@ What is here: `claims`. Called by the page. It must not know how a page looks.
 
 A comparison of two methods is the probability that a run of the one is better than a run of the other in the same test
 dynamics (Agarwal et al., 2021; docs/statistics.md). A claim holds where its 95 % interval lies above one half, does not
-where it lies below, and is undecided in between. Of few runs such an interval is too narrow: it says the least that is
-unknown.
+where it lies below, and is undecided in between, and where a side has fewer runs than `FEWEST`. Of few runs such an
+interval is too narrow: it says the least that is unknown.
+
+That λ makes no difference is the one claim of several methods at once. The best and the worst of them are chosen by the
+scores that would then tell them apart, so it is tested by permutations of the values of λ among the runs instead.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,8 +25,17 @@ from results.kept import Errors
 
 Verdict = Literal["holds", "does not hold", "undecided", "not run"]
 
+FEWEST: Final = 3
+"""Runs of each side that a verdict takes: of two, equal methods are told apart in a third of all cases
+(docs/statistics.md)."""
+
 EQUAL: Final = (0.25, 0.75)
 """Two methods are told to do the same where the interval of their comparison holds one half and lies in here."""
+
+SIGNIFICANT: Final = 0.05
+"""Level of the permutation test."""
+
+PERMUTATIONS: Final = 10_000
 
 
 class Evidence(NamedTuple):
@@ -43,7 +55,7 @@ class Evidence(NamedTuple):
         """Of this comparison alone."""
         if self.estimate is None:
             return "not run"
-        if self.estimate.interval is None:
+        if self.estimate.interval is None or min(self.runs) < FEWEST:
             return "undecided"
         low, high = self.estimate.interval
         return "holds" if low > 0.5 else "does not hold" if high < 0.5 else "undecided"
@@ -63,11 +75,11 @@ def claims(entries: Sequence[Entry], errors: Sequence[Errors], groups: Mapping[s
     """All of them, in the paper's order.
 
     Args:
-        entries: of the board.
+        entries: of the board; what was not replayed is no evidence.
         errors: next-state errors of kept runs.
         groups: kept runs; of `next-state-weight` and `low-quality`.
     """
-    scores = {entry.slug: task_scores(entry.submission) for entry in entries}
+    scores = {entry.slug: task_scores(entry.submission) for entry in entries if entry.replayed}
     zero = {name: scores.get(f"{slug}-zero-shot-last") for name, slug in SLUGS.items()}
     adapted = {name: scores.get(f"{slug}-adaptation-last") for name, slug in SLUGS.items()}
     low = final_scores(groups.get("low-quality", ()), "agent")
@@ -164,17 +176,43 @@ def _all(text: str, source: str, *evidence: Evidence) -> Claim:
 
 
 def _robust(weights: Mapping[str, Scores]) -> Claim:
-    """λ makes no difference: the best of its values is no better than the worst."""
+    """λ makes no difference: its best value is above its worst by no more than chance puts one value above another."""
     text, source = "The weight of the next state's error hardly matters", "Table 4"
     if len(weights) < 2:
         return Claim(text, source, "not run", (Evidence("best λ > worst λ", None, (), (0, 0)),))
     means = {value: float(np.mean([of.mean() for of in scores.values()])) for value, scores in weights.items()}
     best, worst = (end(means, key=lambda value: means[value]) for end in (max, min))
+    chance = spread_by_chance(weights)
     one = _compared(f"λ = {best} > λ = {worst}", weights[best], weights[worst])
+    one = one._replace(what=f"of {len(weights)} values, a spread as wide by chance: {chance:.2f}; {one.what}")
     low, high = (one.estimate and one.estimate.interval) or (0.0, 1.0)
     verdict: Verdict = "undecided"
-    if low > 0.5:
+    if chance < SIGNIFICANT:
         verdict = "does not hold"
-    elif low >= EQUAL[0] and high <= EQUAL[1]:
+    elif min(one.runs) >= FEWEST and low >= EQUAL[0] and high <= EQUAL[1]:
         verdict = "holds"
     return Claim(text, source, verdict, (one,))
+
+
+def spread_by_chance(groups: Mapping[str, Scores]) -> float:
+    """The p-value of a permutation test that all groups of runs score alike.
+
+    Between the best and the worst group lies some distance even where nothing differs, and more of it the more groups
+    there are. It is compared with what it is when the runs of each robot are dealt out to the groups anew: the part of
+    `PERMUTATIONS` deals, the given one among them, with a distance as large. Of robots that all groups have.
+
+    Args:
+        groups: name → robot → (R, M) scores; R may differ.
+    """
+    robots = [robot for robot in ids.ROBOTS if all(robot in scores for scores in groups.values())]
+    deals = np.zeros((PERMUTATIONS, len(groups)))
+    for robot in robots:
+        sizes = [len(scores[robot]) for scores in groups.values()]
+        runs = np.concatenate([scores[robot].mean(axis=1) for scores in groups.values()])
+        raw = np.random.PCG64(np.random.SeedSequence([*robot.encode()])).random_raw(PERMUTATIONS * len(runs))
+        order = raw.reshape(PERMUTATIONS, len(runs)).argsort(axis=1)
+        order[0] = np.arange(len(runs))
+        parts = np.split(runs[order], np.cumsum(sizes)[:-1], axis=1)
+        deals += np.stack([part.mean(axis=1) for part in parts], axis=1) / len(robots)
+    spread = deals.max(axis=1) - deals.min(axis=1)
+    return float((spread >= spread[0] - 1e-9).mean())  # sums of the same runs in another order may differ in a bit

@@ -40,8 +40,8 @@ VARIED: Final = ("next-state-weight", "low-quality")
 INTRODUCTION: Final = """\
 # Reference results
 
-Made by `python -m results build` from the board's entries ([LEADERBOARD.md](../leaderboard/LEADERBOARD.md), which has
-every score replayed) and from the kept runs in [results/runs](../results/runs); changes by hand are lost.
+Made by `python -m results build` from the board's replayed entries ([LEADERBOARD.md](../leaderboard/LEADERBOARD.md);
+others do not count here) and from the kept runs in [results/runs](../results/runs); changes by hand are lost.
 
 Ours are means over runs ± their sample standard deviation, the paper's its own. The paper's dynamics are other draws,
 its behaviour policies others, and its budget a million gradient steps: orderings can be compared, values cannot, and at
@@ -54,9 +54,10 @@ CLAIMS: Final = """\
 
 The number is the probability that a run of the one is better than a run of the other in the same test dynamics, with a
 95 % interval over runs ([statistics.md](statistics.md)). A claim *holds* where the interval lies above one half, *does
-not hold* where it lies below, for one of its comparisons, and is *undecided* in between. Where all runs of the one are
-above all of the other in every dynamics, the interval has no width: that says more of how few runs there are than of
-how sure it is.
+not hold* where it lies below, for one of its comparisons, and is *undecided* in between, or where one of the two has
+fewer than three runs. Where all runs of the one are above all of the other in every dynamics, the interval has no
+width: that says more of how few runs there are than of how sure it is. How often two equal agents get a verdict:
+[statistics.md](statistics.md).
 """
 
 ERRORS: Final = """\

@@ -35,11 +35,11 @@ cooling, no losses; the machine that trains shows no meter of its own."""
 
 
 def scores(entries: Sequence[Entry], track: str) -> str:
-    """Scores of one track by robot, the last checkpoint's, ours and the paper's (its Tables 1, 2 and 7)."""
+    """Replayed scores of one track by robot, the last checkpoint's, ours and the paper's (its Tables 1, 2 and 7)."""
     rows: dict[str, Row] = {}
     for standing in standings(entries):
         if (standing.track, standing.checkpoint) == (track, "last"):
-            rows = {row.entry.slug: row for row in standing.rows}
+            rows = {row.entry.slug: row for row in standing.rows if row.entry.replayed}
     published = {row.agent: row.cells for one in PUBLISHED for row in one.rows if one.title.startswith(TRACKS[track])}
     lines = []
     for name, slug in SLUGS.items():

@@ -1,12 +1,14 @@
 """Verdicts on the paper's claims, by hand."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from leaderboard.entries import Entry
 from leaderboard.statistics import Estimate
 from results import tables
-from results.claims import Evidence, claims, final_scores
+from results.claims import Evidence, claims, final_scores, spread_by_chance
 from results.kept import Errors, keep, kept_runs
 from tests.evaluation.samples import submission
 
@@ -35,7 +37,10 @@ def test_a_claim_holds_where_every_run_is_better():
     assert evidence == Evidence("DADT > DT", Estimate(1.0, (1.0, 1.0)), ("Hopper",), (3, 3))
     assert verdicts([dadt, dt])[BETTER].verdict == "holds"
     assert "1.00 [1.00, 1.00] (Hopper; 3 runs each)" in tables.verdicts([verdicts([dadt, dt])[BETTER]])
-    swapped = [entry("dadt-zero-shot-last", [60.0, 70.0]), entry("dt-zero-shot-last", [100.0, 110.0])]
+    swapped = [
+        entry("dadt-zero-shot-last", [60.0, 70.0, 80.0]),
+        entry("dt-zero-shot-last", [100.0, 110.0, 120.0]),
+    ]
     assert verdicts(swapped)[BETTER].verdict == "does not hold"
 
 
@@ -45,22 +50,34 @@ def test_the_runs_of_both_sides_are_told_where_they_differ():
 
 
 def test_runs_that_are_mixed_decide_nothing():
-    mixed = [entry("dadt-zero-shot-last", [60.0, 100.0]), entry("dt-zero-shot-last", [70.0, 90.0])]
+    mixed = [
+        entry("dadt-zero-shot-last", [60.0, 80.0, 100.0]),
+        entry("dt-zero-shot-last", [70.0, 80.0, 90.0]),
+    ]
     found = verdicts(mixed)[BETTER]
     assert (found.verdict, found.evidence[0].estimate.value) == ("undecided", 0.5)
 
 
-def test_one_run_decides_nothing():
-    one = [entry("dadt-zero-shot-last", [100.0]), entry("dt-zero-shot-last", [50.0, 60.0])]
-    assert verdicts(one)[BETTER].verdict == "undecided"
+@pytest.mark.parametrize("runs", [1, 2])
+def test_one_run_or_two_decide_nothing(runs):
+    few = [entry("dadt-zero-shot-last", [100.0, 110.0][:runs]), entry("dt-zero-shot-last", [50.0, 60.0, 70.0])]
+    assert verdicts(few)[BETTER].verdict == "undecided"
+
+
+def test_what_nobody_has_replayed_is_no_evidence():
+    dadt, dt = entry("dadt-zero-shot-last", [100.0, 110.0, 120.0]), entry("dt-zero-shot-last", [60.0, 70.0, 80.0])
+    sent_in = dataclasses.replace(dadt, label="self-reported")
+    assert verdicts([sent_in, dt])[BETTER].verdict == "not run"
+    assert "55.00" in tables.scores([dadt, dt], "zero-shot")  # half the mean return
+    assert "55.00" not in tables.scores([sent_in, dt], "zero-shot")
 
 
 def test_a_claim_of_two_comparisons_needs_both():
-    dt, dadt = entry("dt-zero-shot-last", [100.0, 110.0]), entry("dadt-zero-shot-last", [100.0, 110.0])
-    cloning = entry("transformer-bc-zero-shot-last", [20.0, 30.0])
+    dt, dadt = (entry(f"{name}-zero-shot-last", [100.0, 110.0, 120.0]) for name in ("dt", "dadt"))
+    cloning = entry("transformer-bc-zero-shot-last", [20.0, 30.0, 40.0])
     assert verdicts([dt, dadt, cloning])[CLONING].verdict == "holds"
     assert verdicts([dt, cloning])[CLONING].verdict == "not run"
-    worse = entry("dadt-zero-shot-last", [0.0, 10.0])
+    worse = entry("dadt-zero-shot-last", [0.0, 10.0, 15.0])
     assert verdicts([dt, worse, cloning])[CLONING].verdict == "does not hold"
 
 
@@ -70,7 +87,7 @@ def test_the_best_checkpoint_is_no_evidence():
 
 
 def test_less_error_is_better():
-    errors = [Errors("dadt", "Hopper", np.full((2, 5), 0.01)), Errors("dt_plus", "Hopper", np.full((2, 5), 0.3))]
+    errors = [Errors("dadt", "Hopper", np.full((3, 5), 0.01)), Errors("dt_plus", "Hopper", np.full((3, 5), 0.3))]
     found = verdicts(errors=errors)["Joint training predicts next states better than a head on a frozen DT"]
     assert (found.verdict, found.evidence[0].what) == ("holds", "DADT > DT+")
     assert verdicts(errors=errors)["A transformer predicts next states best"].verdict == "not run"
@@ -100,7 +117,9 @@ def test_a_weight_that_matters_is_found(weights):
         [32],
     ]
     found = verdicts(groups=groups)[ROBUST]
-    assert (found.verdict, found.evidence[0].what) == ("does not hold", "λ = 1.0 > λ = 0.01")
+    # 6 of the 1,680 ways to deal nine runs to three values spread them as wide: 0.0036
+    assert found.verdict == "does not hold"
+    assert found.evidence[0].what == "of 3 values, a spread as wide by chance: 0.00; λ = 1.0 > λ = 0.01"
 
 
 def test_few_mixed_runs_do_not_show_that_a_weight_does_not_matter(weights):
@@ -111,3 +130,20 @@ def test_few_mixed_runs_do_not_show_that_a_weight_does_not_matter(weights):
 def test_the_same_scores_show_that_a_weight_does_not_matter(weights):
     groups = weights({0.01: [30.0, 30.0, 30.0], 1.0: [30.0, 30.0, 30.0]})
     assert verdicts(groups=groups)[ROBUST].verdict == "holds"
+
+
+def test_the_best_of_many_equal_values_is_not_taken_for_better():
+    rng = np.random.default_rng(0)
+    chances = []
+    for _ in range(100):
+        groups = {f"{value}": {"Hopper": rng.normal(50, 5, (3, 1))} for value in range(5)}
+        chances.append(spread_by_chance(groups))
+    # p-values of what is equal are uniform; best against worst alone would find a difference in more than half of these
+    assert 0.01 <= np.mean(np.array(chances) < 0.05) <= 0.1
+    assert 0.4 < np.mean(chances) < 0.6
+
+
+def test_a_spread_by_chance_counted_by_hand():
+    groups = {"a": {"Hopper": np.array([[1.0], [2.0]])}, "b": {"Hopper": np.array([[3.0], [4.0]])}}
+    # of the 6 ways to deal four runs to two groups, 2 are as far apart as these
+    assert spread_by_chance(groups) == pytest.approx(1 / 3, abs=0.02)

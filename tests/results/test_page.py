@@ -18,8 +18,8 @@ from tests.evaluation.samples import traced
 def board(tmp_path_factory):
     """A board with an entry of DADT and one of Decision Transformer: random actions, replayed."""
     folder = tmp_path_factory.mktemp("board")
-    for agent in ("dadt", "dt"):
-        traced(folder / agent, seeds=(0, 1), agent=agent)
+    for apart, agent in enumerate(("dadt", "dt")):
+        traced(folder / agent, seeds=(0, 1), apart=10 * apart, agent=agent)
     return folder
 
 
