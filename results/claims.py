@@ -26,7 +26,7 @@ from results.kept import Errors
 Verdict = Literal["holds", "does not hold", "undecided", "not run"]
 
 FEWEST: Final = 3
-"""Runs of each side that a verdict takes: of two, equal methods are told apart in a third of all cases
+"""Runs of each side that a verdict takes: of two, equal methods are told apart in 29 of 100 cases, of three in 19
 (docs/statistics.md)."""
 
 EQUAL: Final = (0.25, 0.75)

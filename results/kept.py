@@ -14,6 +14,7 @@ benchmark. Called by the command line and the page. It must not know how anythin
 
 import csv
 import json
+import re
 import shlex
 import shutil
 from collections.abc import Mapping, Sequence
@@ -54,17 +55,24 @@ class Errors(NamedTuple):
 
 
 def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
-    """Copy what is kept of finished runs; a run of the same name is replaced. Returns the folders.
+    """Copy what is kept of finished runs; a run of the same name is replaced, whatever it had. Returns the folders.
 
     Raises:
         FileNotFoundError: a folder is no run that has trained.
-        ValueError: a run is not finished, or not of committed code: nobody could make it again.
+        ValueError: no run is given, one is not finished, or not of committed code: nobody could make it again; or the
+            group is no name of a folder.
     """
+    if not runs:
+        raise ValueError("no run is given: give the folders of finished runs, as runs/dadt-Hopper-seed0")
+    if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", group):
+        raise ValueError(f"the group is {group!r}: give words in small letters, as {REFERENCE} or low-quality")
     kept = []
-    for run in runs:
+    for run in (given.resolve() for given in runs):
         if not (run / "config.json").is_file() or not (run / "curves.csv").is_file():
             raise FileNotFoundError(f"{run} is no run, it has no config.json and curves.csv: train it first")
         about = read_json(run / "config.json")
+        if not {"agent", "config", "settings"} <= about.keys():
+            raise ValueError(f"{run / 'config.json'} has not what `agents.train` writes there: train it again")
         commit = about.get("commit")
         if not commit or commit.endswith("-dirty"):
             raise ValueError(f"{run} was made by {commit or 'no commit'}: commit the code and train it again")
@@ -76,6 +84,8 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
             if (run / name).is_file():
                 with whole_file(place / name) as unfinished:
                     shutil.copyfile(run / name, unfinished)
+            else:  # of the run that this one replaces
+                (place / name).unlink(missing_ok=True)
         kept.append(place)
     return kept
 
@@ -110,11 +120,14 @@ def keep_compute(benchmark: Path, folder: Path = FOLDER) -> Path:
     Raises:
         ValueError: the file has not both of these tests.
     """
-    found = {
-        run["name"]: run["extra_info"]["seconds"]
-        for run in read_json(benchmark)["benchmarks"]
-        if run["fullname"].startswith("tests/benchmarks/test_compute.py")
-    }
+    try:
+        found = {
+            run["name"]: run["extra_info"]["seconds"]
+            for run in json.loads(benchmark.read_text(encoding="utf-8"))["benchmarks"]
+            if run["fullname"].startswith("tests/benchmarks/test_compute.py")
+        }
+    except (ValueError, KeyError, TypeError):  # no JSON, or other JSON
+        found = {}
     if found.keys() != {"test_gradient_steps", "test_acting_in_ten_episodes"}:
         raise ValueError(f"{benchmark} has no whole run of tests/benchmarks/test_compute.py: give one that has")
     write_json(folder / "compute.json", found)

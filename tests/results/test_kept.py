@@ -1,6 +1,7 @@
 """What is kept of a run, and what is not."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -63,6 +64,33 @@ def test_no_run_no_keeping(tmp_path):
         keep([tmp_path], "reference", tmp_path / "kept")
 
 
+def test_what_a_run_has_lost_is_not_left_from_the_one_it_replaces(trained, tmp_path):
+    run = trained("dadt", errors=[0.1] * 5)
+    keep([run], "reference", tmp_path / "kept")
+    (run / "prediction.json").unlink()
+    (place,) = keep([run], "reference", tmp_path / "kept")
+    assert {path.name for path in place.iterdir()} == {"config.json", "curves.csv"}
+
+
+def test_a_run_has_its_name_also_where_it_is_the_working_directory(trained, tmp_path, monkeypatch):
+    run = trained("dadt")
+    monkeypatch.chdir(run)
+    (place,) = keep([Path()], "reference", tmp_path / "kept")
+    assert place == tmp_path / "kept" / "runs" / "reference" / run.name
+
+
+def test_mistakes_end_in_one_line_and_keep_nothing(trained, tmp_path):
+    run = trained("dadt")
+    with pytest.raises(ValueError, match="no run is given"):
+        keep([], "reference", tmp_path / "kept")
+    with pytest.raises(ValueError, match=r"the group is '\.\./out': give words in small letters"):
+        keep([run], "../out", tmp_path / "kept")
+    (run / "config.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"config\.json has not what `agents\.train` writes there"):
+        keep([run], "reference", tmp_path / "kept")
+    assert not (tmp_path / "kept").exists()
+
+
 def test_adaptation_curves_by_run(trained, tmp_path):
     run = trained("dadt", settings={"hold_out": 4})
     (run / "adaptation-curve.csv").write_text("steps,mean_return,train16,train17\n0,300.5,300,301\n100,310,300,320\n")
@@ -85,7 +113,8 @@ def test_times_of_the_compute_benchmark(tmp_path):
     file.write_text(json.dumps({"benchmarks": runs}))
     keep_compute(file, tmp_path)
     assert compute_times(tmp_path) == seconds
-    file.write_text(json.dumps({"benchmarks": runs[1:]}))
-    with pytest.raises(ValueError, match=r"no whole run of tests/benchmarks/test_compute\.py"):
-        keep_compute(file, tmp_path)
+    for other in (json.dumps({"benchmarks": runs[1:]}), "{}", '{"benchmarks": [{}]}', "no JSON"):
+        file.write_text(other)
+        with pytest.raises(ValueError, match=r"no whole run of tests/benchmarks/test_compute\.py"):
+            keep_compute(file, tmp_path)
     assert compute_times(tmp_path / "elsewhere") == {}
