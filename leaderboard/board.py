@@ -77,6 +77,7 @@ def rerun(slug: str, folder: Path, board: Path = BOARD) -> Entry:
         ValueError: the entry has not been replayed exactly, or a run is missing in `folder` or did something else.
     """
     own = {(run.robot, run.seed): run for run in read_official(folder).runs}
+    read_entries(board)  # before a lock would make the folder
     with _locked(board):
         entry = next((entry for entry in read_entries(board) if entry.slug == slug), None)
         if entry is None:

@@ -1,4 +1,8 @@
-"""The documents are true: every code block of README, CONTRIBUTING and docs runs, on less data and for fewer steps."""
+"""The documents are true: README, CONTRIBUTING and docs.
+
+Every block of Python and of the shell runs, on less data and for fewer steps. Blocks of text do not: what they show
+takes a remote, a display, a cluster or hours.
+"""
 
 import os
 import re

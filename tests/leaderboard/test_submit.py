@@ -157,6 +157,9 @@ def test_what_was_not_run_again_is_not(tmp_path, board):
         rerun(slug, tmp_path / "own", board)
     with pytest.raises(FileNotFoundError, match="has no entry 'nobody'"):
         rerun("nobody", tmp_path / "own", board)
+    with pytest.raises(FileNotFoundError, match="is no folder: give the folder of a board"):
+        rerun(slug, tmp_path / "own", tmp_path / "bord")
+    assert not (tmp_path / "bord").exists()
     write_submission(tmp_path / "first", submission(agent="first"))
     with pytest.raises(ValueError, match="is self-reported: only what was replayed exactly"):
         rerun(submit(tmp_path / "first", board).slug, tmp_path / "own", board)
