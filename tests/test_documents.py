@@ -13,6 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from agents.sweep import read_lines
+from agents.sweep_plan import plan
+
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -72,3 +75,14 @@ def test_links_to_files_lead_somewhere():
     for document in DOCUMENTS:
         for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", document.read_text(encoding="utf-8")):
             assert (document.parent / target).exists(), f"{document.name} links to {target}"
+
+
+def test_the_sweeps_of_the_repository_are_the_runs_that_the_page_counts():
+    page = (ROOT / "docs" / "sweeps.md").read_text(encoding="utf-8")
+    counted = {
+        name: map(int, re.findall(r": (\d+)", runs)) for name, runs in re.findall(r"\| `(sweeps/.*)` \|(.*)\|", page)
+    }
+    planned = {
+        str(path.relative_to(ROOT)): len(plan(read_lines(path))) for path in sorted((ROOT / "sweeps").glob("*.txt"))
+    }
+    assert {name: sum(counts) for name, counts in counted.items()} == planned
