@@ -13,7 +13,7 @@ from dynagen_bench.envs import HORIZON
 from leaderboard.board import BOARD
 from leaderboard.entries import Entry, read_entries
 from results import tables
-from results.claims import PREDICTORS, claims
+from results.claims import PREDICTORS, claims, final_scores
 from results.figures import error_bars, learning_curves
 from results.kept import (
     FOLDER,
@@ -34,8 +34,8 @@ CHOSEN: Final = {
 }
 """Group of kept runs that hold out train dynamics → what was chosen by them."""
 
-VARIED: Final = ("next-state-weight", "low-quality")
-"""Groups of kept runs of the paper's Table 4 and Figure 5."""
+VARIED: Final = {"low-quality": "agent", "next-state-weight": "next_state_weight"}
+"""Group of kept runs, of the paper's Figure 5 and Table 4 → what differs in it."""
 
 INTRODUCTION: Final = """\
 # Reference results
@@ -58,6 +58,19 @@ not hold* where it lies below, for one of its comparisons, and is *undecided* in
 fewer than three runs. Where all runs of the one are above all of the other in every dynamics, the interval has no
 width: that says more of how few runs there are than of how sure it is. How often two equal agents get a verdict:
 [statistics.md](statistics.md).
+"""
+
+LOW_QUALITY: Final = """\
+## Low-quality data
+
+The counterpart of the paper's Figure 5, which gives no numbers: scores without adaptation of agents trained on the
+worst 30 % of the episodes, at the last checkpoint.
+"""
+
+WEIGHTS: Final = """\
+## The weight of the next state's error
+
+The counterpart of the paper's Table 4: scores of DADT without adaptation at the last checkpoint, by λ.
 """
 
 ERRORS: Final = """\
@@ -115,13 +128,15 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
         ValueError: an entry, or a kept run, is not what was written.
     """
     entries, errors, runs = read_entries(board), kept_errors(folder=folder), kept_runs(REFERENCE, folder)
+    varied = {group: kept_runs(group, folder) for group in VARIED}
     figures = {name: text for robot in ids.ROBOTS for name, text in _figures(robot, runs, errors).items()}
     parts = [
         INTRODUCTION,
         CLAIMS,
-        tables.verdicts(claims(entries, errors, {group: kept_runs(group, folder) for group in VARIED})),
+        tables.verdicts(claims(entries, errors, varied)),
         *_scores(entries),
         *_pictures(figures, "curves"),
+        *_varied(entries, varied),
         ERRORS,
         tables.errors(errors),
         *_pictures(figures, "errors"),
@@ -142,6 +157,13 @@ def _scores(entries: Sequence[Entry]) -> list[str]:
         "it is given the\nepisodes that the others are fine-tuned on.\n",
         tables.scores(entries, "adaptation"),
     ]
+
+
+def _varied(entries: Sequence[Entry], groups: Mapping[str, Sequence[Run]]) -> list[str]:
+    """What the groups of `VARIED` show, of those that have runs."""
+    low, weights = (final_scores(groups[group], fact) for group, fact in VARIED.items())
+    parts = [LOW_QUALITY, tables.low_quality(low, entries)] if low else []
+    return [*parts, WEIGHTS, tables.weights(weights)] if weights else parts
 
 
 def _learning(folder: Path) -> list[str]:

@@ -15,8 +15,9 @@ from dynagen_bench import ids
 from dynagen_bench.markdown import table
 from leaderboard.entries import Entry
 from leaderboard.markdown import escape, iqm_text, score_text
-from leaderboard.published import PUBLISHED, PUBLISHED_ERRORS, Score
-from leaderboard.standings import TRACKS, Row, standings
+from leaderboard.published import PUBLISHED, PUBLISHED_ERRORS, PUBLISHED_WEIGHTS, Score
+from leaderboard.standings import TRACKS, Row, standings, task_scores
+from leaderboard.statistics import Scores
 from results.claims import PREDICTORS, SLUGS, Claim, Evidence
 from results.kept import Errors
 
@@ -68,6 +69,29 @@ def errors(found: Sequence[Errors]) -> str:
         cells = (f"{unchanged[robot]:.4g}" if robot in unchanged else "–" for robot in ids.ROBOTS)
         lines.append(["no change: the present state", *cells])
     return table(["", *ids.ROBOTS], lines)
+
+
+def low_quality(low: Mapping[str, Scores], entries: Sequence[Entry]) -> str:
+    """Scores of agents trained on low-quality data, by robot, and on all data under them (the paper's Figure 5)."""
+    whole = {name: task_scores(entry.submission) for name, entry in _entries(entries).items()}
+    lines = []
+    for agent, own in low.items():
+        lines.append([escape(agent), *_final_texts(own)])
+        slug = f"{agent.replace('_', '-')}-zero-shot-last"
+        if slug in whole:
+            lines.append(
+                ["on all data", *_final_texts({robot: whole[slug][robot] for robot in own if robot in whole[slug]})]
+            )
+    return table(["", *ids.ROBOTS], lines)
+
+
+def weights(found: Mapping[str, Scores]) -> str:
+    """Scores of DADT by λ, on the robots that were run here, and over all in the paper (its Table 4)."""
+    lines = [
+        [value, *_final_texts(found.get(value, {})), _published(PUBLISHED_WEIGHTS.get(value))]
+        for value in sorted({*found, *PUBLISHED_WEIGHTS}, key=float)
+    ]
+    return table(["λ", *ids.ROBOTS, "all robots, the paper"], lines)
 
 
 def error_estimates(found: Sequence[Errors], agent: str) -> dict[str, Estimate]:
@@ -158,6 +182,18 @@ def compute(times: Mapping[str, float], published: str) -> str:
     """Seconds of each agent, and beside DADT's."""
     lines = [[name, f"{value:.3f}", f"{value / times['dadt']:.2f}"] for name, value in times.items()]
     return table(["agent", published, "beside DADT's"], lines)
+
+
+def _entries(entries: Sequence[Entry]) -> dict[str, Entry]:
+    """What was replayed, by its name on the board."""
+    return {entry.slug: entry for entry in entries if entry.replayed}
+
+
+def _final_texts(found: Scores) -> list[str]:
+    """A cell a robot: the mean over runs of their means over dynamics."""
+    return [
+        _estimate_text(estimate(found[robot].mean(axis=1).tolist()) if robot in found else None) for robot in ids.ROBOTS
+    ]
 
 
 def _published(score: Score | None) -> str:

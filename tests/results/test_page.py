@@ -38,6 +38,10 @@ def made(board, trained, tmp_path):
     learned |= {"trained": [300, 310], "untrained": [20, 30], "random": [10, 11]}
     (tmp_path / "kept/runs/reference/dadt/evaluation-train.json").parent.mkdir()
     (tmp_path / "kept/runs/reference/dadt/evaluation-train.json").write_text(json.dumps(learned))
+    low = [trained("dadt", seed, score=20.0 + 2 * seed, settings={"quality": 0.3}) for seed in range(2)]
+    keep([*low, trained("mlp", score=5.0, settings={"quality": 0.3})], "low-quality", tmp_path / "kept")
+    weights = [trained("dadt", seed, score=30.0 + 4 * seed, next_state_weight=0.1) for seed in range(2)]
+    keep(weights, "next-state-weight", tmp_path / "kept")
     acting = {"dadt": 0.01, "focal": 0.001}
     times = {"test_gradient_steps": {"dadt": 0.1, "focal": 0.5}, "test_acting_in_ten_episodes": acting}
     (tmp_path / "kept" / "compute.json").write_text(json.dumps(times))
@@ -60,6 +64,18 @@ def test_the_page_has_every_part(made):
     assert "| 300.0 | 310.2 |" in page
     assert "| dadt | Hopper | 1 | 200 | 2 | 305 | 25 | 10.5 |" in page
     assert "0.001 after 500 steps of warm-up" in page
+
+
+def test_low_quality_data_and_weights_stand_beside_what_they_are_compared_with(made):
+    lines = made[PAGE].splitlines()
+    place = lines.index("| dadt | – | 21.00 ± 1.41 | – | – | – |")  # 20 and 22
+    on_all_data = lines[place + 1]
+    assert on_all_data.startswith("| on all data | – | ")
+    score = float(on_all_data.split("|")[3].split("±")[0])
+    assert f"| DADT | – | {score:.2f} ± " in made[PAGE]  # as on the board
+    assert "| mlp | – | 5 | – | – | – |" in lines  # no entry of the board to stand beside
+    assert "| 0.1 | – | 32.00 ± 2.83 | – | – | – | 45.97 ± 20.93 |" in lines
+    assert "| 1.0 | – | – | – | – | – | 44.10 ± 19.55 |" in lines
 
 
 def test_the_drawings_are_in_the_page_and_are_xml(made):
