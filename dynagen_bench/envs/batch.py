@@ -180,7 +180,8 @@ class BatchPhysics:
 
 def checked_actions(actions: NDArray[np.floating[Any]], shape: tuple[int, ...]) -> Array:
     """The actions (M, A) as float64; raises ValueError if they have another shape, or one of them is not finite."""
-    checked = np.asarray(actions, dtype=np.float64)
+    # in C order, whatever is given: einsum adds the elements of other orders in another order, to other last bits
+    checked = np.asarray(actions, dtype=np.float64, order="C")
     if checked.shape != shape:
         raise ValueError(f"actions have shape {checked.shape}: give {shape}")
     if not np.isfinite(checked).all():

@@ -39,6 +39,18 @@ def test_bits_of_single_environments(robot, threads):
 
 
 @pytest.mark.parametrize("robot", ids.ROBOTS)
+def test_bits_do_not_depend_on_how_actions_lie_in_memory(robot):
+    batch = BatchPhysics(robot, [load_dynamics(robot, "test", i % 5) for i in range(30)], threads=1)
+    plain = np.random.default_rng(0).uniform(-batch.action_limit, batch.action_limit, (30, len(batch.action_limit)))
+    rewards = []
+    for actions in (plain, np.asfortranarray(plain), np.repeat(plain, 2, axis=1)[:, ::2]):
+        batch.start(np.arange(30), [np.random.default_rng(i) for i in range(30)])
+        rewards.append(batch.step(actions).rewards)
+    for others in rewards[1:]:
+        np.testing.assert_array_equal(others, rewards[0])
+
+
+@pytest.mark.parametrize("robot", ids.ROBOTS)
 def test_a_thousand_random_steps_in_every_dynamics_raise_no_warning(robot):
     names = list(ids.dynamics_ids(robot))
     batch = BatchPhysics(robot, [load_dynamics(n.robot, n.split, n.index) for n in names])
