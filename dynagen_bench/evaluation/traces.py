@@ -58,7 +58,9 @@ class Traces:
     @functools.cached_property
     def content(self) -> bytes:
         """The bytes of the file; the same for the same episodes."""
-        arrays = {"actions": self.actions.astype("<f4"), "states": self.states.astype("<f8")}
+        # safetensors writes memory as it lies: only an array in C order reads back as itself
+        actions, states = np.ascontiguousarray(self.actions, "<f4"), np.ascontiguousarray(self.states, "<f8")
+        arrays = {"actions": actions, "states": states}
         content: bytes = safetensors.numpy.save(arrays)
         return content
 

@@ -72,6 +72,12 @@ def test_what_is_written_is_read_again_within_the_size_that_is_read(lengths, rob
     assert [int(n) for n in stored_states(before.lengths)] == [len(range(0, n, INTERVAL)) + 1 for n in lengths]
 
 
+@pytest.mark.parametrize("arrange", [np.asfortranarray, lambda array: np.repeat(array, 2, axis=0)[::2]])
+def test_the_file_does_not_depend_on_how_the_arrays_lie_in_memory(arrange):
+    before = made([12, 200])
+    assert Traces(before.lengths, arrange(before.actions), arrange(before.states)).content == before.content
+
+
 def test_all_robots_with_five_runs_of_full_episodes_take_less_than_16_megabytes():
     sizes_of_robots = [file_size(robot, np.full(50, 200)) for robot in ids.ROBOTS]
     assert 5 * sum(sizes_of_robots) == 13_233_800  # exact but for the headers, for which 1 kB each is allowed
