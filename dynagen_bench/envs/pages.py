@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from dynagen_bench import ids
 from dynagen_bench.dynamics import PARAMETERS, Parameter, draws, factor_array, load_dynamics, nominal_robot
 from dynagen_bench.envs.robots import ROBOT_CLASSES
-from dynagen_bench.envs.rules import Rules
+from dynagen_bench.envs.rules import Rules, keyword_fields
 from dynagen_bench.envs.single import RENDER_KEYWORDS, RandomDynamics
 from dynagen_bench.envs.vector import RandomDynamicsVector
 from dynagen_bench.markdown import table
@@ -190,11 +190,9 @@ def _info(robot: str) -> list[str]:
 def _keywords(robot_class: type[RandomDynamics]) -> list[str]:
     docs, theirs = attribute_docs(Rules), inspect.signature(robot_class.__bases__[1]).parameters
     rows = [[name, default, "–", text] for name, default, text in _arguments(RandomDynamics)]
-    for name, text in docs.items():
-        if name == "healthy":
-            continue  # a function, which no keyword sets
+    for name in keyword_fields(robot_class.default_rules):
         default = _shown(theirs[name].default) if name in theirs else "–"
-        rows.append([f"`{name}`", _shown(getattr(robot_class.default_rules, name)), default, text])
+        rows.append([f"`{name}`", _shown(getattr(robot_class.default_rules, name)), default, docs[name]])
     rendering = ", ".join(f"`{name}`" for name in RENDER_KEYWORDS)
     return [
         "## Keyword arguments",

@@ -8,7 +8,7 @@ either nothing or N. It must not know MuJoCo, Gymnasium, dynamics or episodes.
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -92,6 +92,27 @@ class Rules:
     @functools.cached_property
     def _upright_ranges(self) -> dict[int, tuple[Array, Array]]:
         return {}
+
+
+RANGES: Final = ("healthy_state_range", "healthy_z_range", "healthy_angle_range")
+"""Fields that say what is healthy."""
+
+_READ: Final[Mapping[Healthy, tuple[str, ...]]] = {
+    always_healthy: (),
+    upright_healthy: RANGES,
+    height_healthy: ("healthy_z_range",),
+}
+"""Which of them each kind of healthiness reads."""
+
+
+def keyword_fields(rules: Rules) -> list[str]:
+    """Names of the fields that a keyword argument sets in a robot of these rules: those that would act.
+
+    Not `healthy`, which is a function; not `hidden_positions`, a fact of the robot's qpos that no task changes; not the
+    ranges that its healthiness does not read. (Healthiness that is not of this file is taken to read all.)
+    """
+    left_out = {"healthy", "hidden_positions", *RANGES}.difference(_READ.get(rules.healthy, RANGES))
+    return [field.name for field in dataclasses.fields(rules) if field.name not in left_out]
 
 
 class Reward(NamedTuple):

@@ -21,6 +21,7 @@ from dynagen_bench.envs.rules import (
     Array,
     Rules,
     initial_state,
+    keyword_fields,
     observe,
     position_info,
     reward,
@@ -53,7 +54,7 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
     Attributes:
         robot: name of the robot, one of `ids.ROBOTS`.
         substeps: physics steps in a control step; Gymnasium's frame skip of that robot.
-        default_rules: the task's numbers; a keyword argument of a field's name overrides it.
+        default_rules: the task's numbers; keyword arguments override those that `keyword_fields` names.
         tendons: whether `info` has their lengths and velocities, as Gymnasium's class of the robot.
         base_keywords: what Gymnasium's class has to be told to give our observation.
     """
@@ -77,11 +78,11 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
             split: `train`, `test` or `nominal`; `train` if neither it nor `dynamics` is given.
             index: number of the dynamics in its split; None draws one at every reset from the environment's generator.
             dynamics: a user's own factors as plain data, `{"body_mass": {"torso": 1.3}}`, instead of split and index.
-            kwargs: fields of `Rules`, and Gymnasium's rendering arguments.
+            kwargs: fields of `Rules` that act in this robot, and Gymnasium's rendering arguments.
 
         Raises:
             ValueError: an unknown split, index or element, or `dynamics` beside `split` or `index`.
-            TypeError: an unknown keyword.
+            TypeError: an unknown keyword, or one that would not act.
         """
         self.rules, base = keywords(type(self), kwargs)
         if dynamics is not None and (split is not None or index is not None):
@@ -208,9 +209,9 @@ def keywords(robot_class: type[RandomDynamics], given: Mapping[str, Any]) -> tup
     """The rules of a robot with what is given of them, and the rendering keywords among `given`.
 
     Raises:
-        TypeError: an unknown keyword.
+        TypeError: an unknown keyword, or one that would not act in this robot.
     """
-    rule_names = [field.name for field in dataclasses.fields(Rules) if field.name != "healthy"]
+    rule_names = keyword_fields(robot_class.default_rules)
     unknown = sorted(set(given) - set(rule_names) - set(RENDER_KEYWORDS))
     if unknown:
         allowed = ", ".join(["split", "index", "dynamics", *RENDER_KEYWORDS, *rule_names])

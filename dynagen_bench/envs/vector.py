@@ -79,12 +79,13 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
             autoreset_mode: `NextStep`, `SameStep` or `Disabled`, or Gymnasium's `AutoresetMode`.
             threads: physics threads, 0 for all processors; the bits are the same at any number.
             render_mode: `rgb_array`, `depth_array` or `rgbd_tuple`.
-            kwargs: as for the single environment: fields of `Rules`, and Gymnasium's rendering arguments.
+            kwargs: as for the single environment: fields of `Rules` that act in this robot, and Gymnasium's
+                rendering arguments.
 
         Raises:
             ValueError: an unknown split, index, mode or element; fewer than one sub-environment; more indices or
                 dynamics than sub-environments; `dynamics` beside a choice from the benchmark's own.
-            TypeError: an unknown keyword.
+            TypeError: an unknown keyword, or one that would not act.
         """
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise ValueError(f"num_envs is {num_envs!r}: give a whole number from 1 on")

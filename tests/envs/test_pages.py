@@ -13,6 +13,7 @@ from dynagen_bench import ids
 from dynagen_bench.dynamics import PARAMETERS, load_dynamics, nominal_robot
 from dynagen_bench.envs import ROBOT_CLASSES, Rules
 from dynagen_bench.envs.pages import attribute_docs, environment_page, page_file, write_page
+from dynagen_bench.envs.rules import keyword_fields
 from dynagen_bench.envs.vector import RandomDynamicsVector
 
 FOLDER = Path(__file__).parents[2] / "docs" / "environments"
@@ -70,12 +71,12 @@ def test_every_section_is_there_and_every_block_is_closed(robot, pages):
 def test_every_keyword_has_its_default_and_a_meaning(robot, pages):
     table = {row[0].strip("`"): row for row in rows(pages[robot]) if len(row) == 4}
     env = ROBOT_CLASSES[robot]()
-    for field in dataclasses.fields(Rules):
-        if field.name == "healthy":
-            continue
-        _, default, _, meaning = table[field.name]
+    fields = {field.name for field in dataclasses.fields(Rules)}
+    assert table.keys() & fields == set(keyword_fields(env.rules))
+    for name in keyword_fields(env.rules):
+        _, default, _, meaning = table[name]
         assert meaning.endswith(".")
-        value = getattr(env.rules, field.name)
+        value = getattr(env.rules, name)
         if isinstance(value, bool):
             assert default == str(value)
         else:

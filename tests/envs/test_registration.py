@@ -1,5 +1,6 @@
 """Every id of the benchmark makes the environment that it names."""
 
+import math
 import pickle
 import subprocess
 import sys
@@ -13,7 +14,8 @@ from gymnasium.utils.env_checker import check_env
 import dynagen_bench  # noqa: F401, registers the environments
 from dynagen_bench import ids
 from dynagen_bench.dynamics import load_dynamics
-from dynagen_bench.envs import HORIZON, register_environments
+from dynagen_bench.envs import HORIZON, ROBOT_CLASSES, register_environments
+from dynagen_bench.envs.rules import RANGES
 
 SHORT_IDS = [name.env_id for robot in ids.ROBOTS for name in ids.dynamics_ids(robot)]
 ALL_IDS = [*SHORT_IDS, *(ids.v0_env_id(robot) for robot in ids.ROBOTS)]
@@ -99,6 +101,43 @@ def test_index_none_draws_from_the_split_at_every_reset_by_the_seed():
 def test_bad_keywords_end_in_one_line(keywords, error, message):
     with pytest.raises(error, match=message):
         gymnasium.make("Hopper-RandDyn-v0", **keywords)
+
+
+@pytest.mark.parametrize(
+    ("robot", "keyword", "value"),
+    [
+        ("HalfCheetah", "healthy_z_range", (0.2, 1.0)),
+        ("HalfCheetah", "healthy_state_range", (-1.0, 1.0)),
+        ("HalfCheetah", "healthy_angle_range", (-0.1, 0.1)),
+        ("Ant", "healthy_state_range", (-1.0, 1.0)),
+        ("Ant", "healthy_angle_range", (-0.1, 0.1)),
+        ("SlimHumanoid", "healthy_state_range", (-1.0, 1.0)),
+        ("SlimHumanoid", "healthy_angle_range", (-0.1, 0.1)),
+        *((robot, "hidden_positions", 0) for robot in ids.ROBOTS),
+    ],
+)
+def test_a_keyword_that_would_not_act_is_refused(robot, keyword, value):
+    with pytest.raises(TypeError, match=f"{robot} has no keyword '{keyword}': choose from split") as caught:
+        ROBOT_CLASSES[robot](**{keyword: value})
+    assert keyword not in str(caught.value).partition("choose from")[2]
+
+
+@pytest.mark.parametrize(
+    ("robot", "keyword"),
+    [
+        *(("Hopper", keyword) for keyword in RANGES),
+        *(("Walker", keyword) for keyword in RANGES),
+        ("Ant", "healthy_z_range"),
+        ("SlimHumanoid", "healthy_z_range"),
+    ],
+)
+def test_a_range_that_is_taken_decides_what_is_healthy(robot, keyword):
+    survived = []
+    for limits in ((-math.inf, math.inf), (1e6, 2e6)):
+        env = gymnasium.make(f"{robot}-RandDyn-test0", **{keyword: limits})
+        env.reset(seed=0)
+        survived.append(env.step(np.zeros(env.action_space.shape))[4]["reward_survive"] > 0)
+    assert survived == [True, False]
 
 
 def test_a_wrong_id_suggests_the_near_ones():
