@@ -10,9 +10,10 @@ in the project calls it; it imports nothing of ours, and it must not know what a
 
 import dataclasses
 import difflib
+import operator
 import re
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import Any, Final
 
 ROBOTS: Final = ("Walker", "Hopper", "HalfCheetah", "SlimHumanoid", "Ant")
 SPLIT_SIZES: Final = {"train": 20, "test": 5, "nominal": 1}
@@ -76,12 +77,20 @@ def check_split(split: str) -> str:
     raise ValueError(f"unknown split {split!r}: choose one of {', '.join(SPLIT_SIZES)}")
 
 
+def whole_number(given: Any) -> int | None:
+    """`given` as a plain int, also if it is one of NumPy's; None if it is no whole number. True and False are none."""
+    try:
+        return None if isinstance(given, bool) else operator.index(given)
+    except TypeError:
+        return None
+
+
 def check_index(split: str, index: int) -> int:
-    """Return `index`; raise ValueError with the allowed range if the split has no such dynamics."""
-    size = SPLIT_SIZES[check_split(split)]
-    if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < size:
+    """Return `index`, a plain int; raise ValueError with the allowed range if the split has no such dynamics."""
+    size, number = SPLIT_SIZES[check_split(split)], whole_number(index)
+    if number is None or not 0 <= number < size:
         raise ValueError(f"index {index!r} is not in split {split!r}: choose a whole number from 0 to {size - 1}")
-    return index
+    return number
 
 
 def make_id(robot: str, split: str, index: int) -> DynamicsId:

@@ -1,5 +1,6 @@
 """Ids: built and parsed to the same thing, and refused in one line that says what is allowed."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,6 +16,19 @@ def test_every_id_parses_back():
         assert ids.parse_env_id(name.env_id) == name
         assert ids.parse_dataset_id(name.dataset_id) == name
         assert ids.parse_label(name.robot, name.label) == name
+
+
+@pytest.mark.parametrize("kind", [np.int64, np.uint8, np.array])
+def test_numpys_whole_numbers_are_indices_and_become_plain(kind):
+    assert ids.make_id("Hopper", "test", kind(3)) == ids.make_id("Hopper", "test", 3)
+    assert type(ids.check_index("train", kind(19))) is int
+
+
+@pytest.mark.parametrize("given", [None, True, np.True_, 3.0, np.float64(3), "3", [3], np.array([3])])
+def test_what_is_no_whole_number_is_no_index(given):
+    assert ids.whole_number(given) is None
+    with pytest.raises(ValueError, match="choose a whole number from 0 to 4"):
+        ids.check_index("test", given)
 
 
 def test_ids_are_the_frozen_ones():

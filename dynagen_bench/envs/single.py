@@ -89,9 +89,8 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
             raise ValueError("give either dynamics= or split= and index=, not both")
         self._own = None if dynamics is None else Dynamics.from_json(dynamics)
         self._split = ids.check_split("train" if split is None else split)
-        self._index = 0 if self._split == "nominal" and index is None else index
-        if self._index is not None:
-            ids.check_index(self._split, self._index)
+        chosen = 0 if self._split == "nominal" and index is None else index
+        self._index = None if chosen is None else ids.check_index(self._split, chosen)
         self.dynamics_index = -1
 
         hide = self.rules.exclude_current_positions_from_observation

@@ -87,13 +87,14 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
                 dynamics than sub-environments; `dynamics` beside a choice from the benchmark's own.
             TypeError: an unknown keyword, or one that would not act.
         """
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
+        count = ids.whole_number(num_envs)
+        if count is None or count < 1:
             raise ValueError(f"num_envs is {num_envs!r}: give a whole number from 1 on")
         if max_episode_steps is not None and max_episode_steps < 1:
             raise ValueError(f"max_episode_steps is {max_episode_steps}: give a whole number from 1 on, or None")
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode is {render_mode!r}: choose from {', '.join(self.metadata['render_modes'])}")
-        self.num_envs = num_envs
+        self.num_envs = num_envs = count
         self._choice = _choose(num_envs, split, index, indices, dynamics)
         self._redraw = dynamics is None and indices is None and index is None
         split = "train" if split is None else split
@@ -137,22 +138,34 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
             options: `reset_mask`, (N,) bool, is read; nothing else.
 
         Raises:
-            ValueError: a list of another length, or a mask of another shape or type, or that names none.
+            ValueError: a seed of another form, a list of another length, or a mask of another shape or type, or that
+                names none.
         """
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
-        if seeds is not None and len(seeds) != self.num_envs:
-            raise ValueError(f"{len(seeds)} seeds given: give {self.num_envs}, one a sub-environment, or one number")
-        if isinstance(seed, int):
-            super().reset(seed=seed)
+        first = ids.whole_number(seed)
+        seeds = self._seeds(seed) if first is None else [first + i for i in range(self.num_envs)]
+        if first is not None:
+            super().reset(seed=first)
         rows = self._masked(options)
         for i in rows:
-            if self._rngs[i] is None or (seeds is not None and seeds[i] is not None):
-                self._rngs[i] = seeding.np_random(None if seeds is None else seeds[i])[0]
+            if self._rngs[i] is None or seeds[i] is not None:
+                self._rngs[i] = seeding.np_random(seeds[i])[0]
         self._started = True
         infos: Infos = {}
         self._start(rows, infos)
         self._some_ended = bool(self._ended.any())
         return self._observations.copy(), infos
+
+    def _seeds(self, given: Any) -> list[int | None]:
+        """The seed of each sub-environment of a list of them, or None for all."""
+        if given is None:
+            return [None] * self.num_envs
+        if not isinstance(given, Sequence | np.ndarray):
+            raise ValueError(f"seed is {given!r}: give a whole number, a list of {self.num_envs}, or None")
+        if len(given) != self.num_envs:
+            raise ValueError(f"{len(given)} seeds given: give {self.num_envs}, one a sub-environment, or one number")
+        plain = [ids.whole_number(seed) for seed in given]
+        # what is neither a whole number nor None is left for Gymnasium to refuse
+        return [seed if number is None else number for seed, number in zip(given, plain, strict=True)]
 
     def _masked(self, options: Mapping[str, Any] | None) -> NDArray[np.intp]:
         if not options or "reset_mask" not in options:

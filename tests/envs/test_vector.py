@@ -124,6 +124,20 @@ def test_which_dynamics_run_where():
     assert short.unwrapped.dynamics_indices.tolist() == [3, 3]
 
 
+def test_numpys_whole_numbers_are_taken_as_plain_ones_are():
+    env_id, two = "Hopper-RandDyn-v0", np.int64(2)
+    plain = gymnasium.make_vec(env_id, num_envs=2, split="test", indices=[0, 1])
+    for chosen in ({"indices": np.arange(2)}, {"index": "spread"}):
+        env = gymnasium.make_vec(env_id, num_envs=two, split="test", **chosen)
+        for seed, its in ((np.int64(3), 3), (np.array([7, 5]), [7, 5]), ([np.int32(4), None], [4, None])):
+            np.testing.assert_array_equal(env.reset(seed=seed)[0], plain.reset(seed=its)[0])
+        assert type(env.num_envs) is int
+        assert env.unwrapped.dynamics_indices.tolist() == [0, 1]
+    assert gymnasium.make_vec(env_id, num_envs=1, index=np.int64(3)).unwrapped.dynamics_indices == [3]
+    single = gymnasium.make(env_id, split="test", index=np.int64(3)).unwrapped
+    assert type(single.reset(seed=0)[1]["dynamics_index"]) is int
+
+
 def test_own_dynamics_one_a_sub_environment():
     own = [{"body_mass": {"torso": 2.0}}, {"body_mass": {"torso": 0.5}}]
     ours = gymnasium.make_vec("Hopper-RandDyn-v0", num_envs=2, dynamics=own, max_episode_steps=25)
@@ -162,6 +176,8 @@ def test_an_unstable_sub_environment_is_reported_and_touches_no_other(tmp_path, 
     ("kwargs", "error", "message"),
     [
         ({"split": "dev"}, ValueError, "unknown split 'dev': choose one of"),
+        ({"num_envs": True}, ValueError, "num_envs is True: give a whole number from 1 on"),
+        ({"num_envs": 2.0}, ValueError, "num_envs is 2.0: give a whole number from 1 on"),
         ({"num_envs": 0}, ValueError, "num_envs is 0: give a whole number from 1 on"),
         ({"split": "test", "index": 5}, ValueError, "index 5 is not in split 'test'"),
         ({"split": "test", "indices": [0, 9]}, ValueError, "index 9 is not in split 'test'"),
@@ -210,6 +226,8 @@ def test_order_and_arguments_of_reset_are_checked():
         env.reset(options={"reset_mask": np.array([True, False])})
     with pytest.raises(ValueError, match="3 seeds given: give 2"):
         env.reset(seed=[1, 2, 3])
+    with pytest.raises(ValueError, match=r"seed is 1\.5: give a whole number, a list of 2, or None"):
+        env.reset(seed=1.5)
     with pytest.raises(ValueError, match=r"reset_mask has shape \(3,\)"):
         env.reset(options={"reset_mask": np.ones(3, dtype=bool)})
     with pytest.raises(ValueError, match="0 set"):
