@@ -6,7 +6,7 @@ Called by the environments, the drawing code and the command line. It must not k
 
 import dataclasses
 import functools
-import math
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -69,18 +69,21 @@ class Dynamics:
         """Read the plain form `{"body_mass": {"torso": 1.3}, ...}`.
 
         Raises:
-            ValueError: an unknown parameter, or a factor that is not a finite number above 0.
+            ValueError: an unknown parameter, a factor that is not a finite number above 0, or a `Dynamics`, which is no
+                plain data.
         """
         known = [parameter.field for parameter in PARAMETERS]
+        if isinstance(data, Dynamics):
+            raise ValueError("dynamics are plain data, as an environment's spec holds them: give dynamics.to_json()")
         if not isinstance(data, Mapping) or not set(data) <= set(known):
-            given = sorted(set(data) - set(known)) if isinstance(data, Mapping) else data
+            given = sorted(set(data) - set(known), key=str) if isinstance(data, Mapping) else data
             raise ValueError(f"unknown dynamics parameter {given!r}: choose from {', '.join(known)}")
         for field, factors in data.items():
             if not isinstance(factors, Mapping):
                 raise ValueError(f"{field} must map element names to factors, got {factors!r}")
             for name, factor in factors.items():
                 number = isinstance(factor, int | float) and not isinstance(factor, bool)
-                if not number or not math.isfinite(factor) or factor <= 0:
+                if not number or not 0 < factor <= sys.float_info.max:  # no infinity, no NaN, no int beyond all floats
                     raise ValueError(f"{field} of {name!r} must be a finite factor above 0, got {factor!r}")
         return cls(**{field: {name: float(f) for name, f in factors.items()} for field, factors in data.items()})
 
@@ -170,7 +173,7 @@ def factor_array(robot: str, dynamics: Dynamics, parameter: Parameter) -> NDArra
     """
     names = nominal_robot(robot).names[parameter.element]
     factors: Mapping[str, float] = getattr(dynamics, parameter.field)
-    unknown = sorted(set(factors) - set(names))
+    unknown = sorted(set(factors) - set(names), key=str)
     if unknown:
         raise ValueError(f"{robot} has no {parameter.element} {unknown[0]!r}: choose from {', '.join(names)}")
     return np.array([factors.get(name, 1.0) for name in names])

@@ -95,15 +95,15 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode is {render_mode!r}: choose from {', '.join(self.metadata['render_modes'])}")
         self.num_envs = num_envs = count
-        self._choice = _choose(num_envs, split, index, indices, dynamics)
-        self._redraw = dynamics is None and indices is None and index is None
+        own = _as_list(dynamics)
+        self._choice = _choose(num_envs, split, index, indices, own)
+        self._redraw = own is None and indices is None and index is None
         split = "train" if split is None else split
-        if dynamics is None:
+        if own is None:
             self._pool = [load_dynamics(robot, split, i) for i in range(ids.SPLIT_SIZES[split])]
         else:
-            own = [dynamics] if isinstance(dynamics, Mapping) else dynamics
             self._pool = [Dynamics.from_json(factors) for factors in own]
-        self.dynamics_indices = np.full(num_envs, -1) if dynamics is not None or self._redraw else self._choice.copy()
+        self.dynamics_indices = np.full(num_envs, -1) if own is not None or self._redraw else self._choice.copy()
 
         # one single environment: it checks the keywords, has the spaces, and draws any state that is put into it
         self._single = ROBOT_CLASSES[robot](split="nominal", render_mode=render_mode, **kwargs)
@@ -315,19 +315,25 @@ def _divided(infos: Infos, mask: NDArray[np.bool_]) -> tuple[Infos, Infos]:
     return parts
 
 
+def _as_list(dynamics: Any) -> Sequence[Mapping[str, Any]] | None:
+    """A user's own dynamics one by one; what is neither a list nor one of them is left for `from_json` to refuse."""
+    if dynamics is None or (isinstance(dynamics, Sequence) and not isinstance(dynamics, str)):
+        return dynamics
+    return [dynamics]
+
+
 def _choose(
     num_envs: int,
     split: str | None,
     index: int | str | None,
     indices: Sequence[int] | None,
-    dynamics: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None,
+    dynamics: Sequence[Mapping[str, Any]] | None,
 ) -> NDArray[np.int64]:
     """For each sub-environment (N,) which dynamics of the pool it starts with; checks what the user asks for."""
     if dynamics is not None:
         if split is not None or index not in (SPREAD, None) or indices is not None:
             raise ValueError("give either dynamics= or split=, index= and indices=, not both")
-        pool: Sequence[int] = range(1 if isinstance(dynamics, Mapping) else len(dynamics))
-        return _repeated("dynamics", pool, num_envs)
+        return _repeated("dynamics", range(len(dynamics)), num_envs)
     split = ids.check_split("train" if split is None else split)
     if indices is not None:
         if index != SPREAD:

@@ -91,6 +91,10 @@ def test_plain_form_round_trips(data):
         ({"body_mass": {"torso": -1.0}}, "finite factor above 0"),
         ({"body_mass": {"torso": float("nan")}}, "finite factor above 0"),
         ({"body_mass": {"torso": True}}, "finite factor above 0"),
+        ({"body_mass": {"torso": float("inf")}}, "finite factor above 0"),
+        ({"body_mass": {"torso": 10**400}}, "finite factor above 0"),
+        ({1: {}, "a": {}}, r"unknown dynamics parameter \[1, 'a'\]: choose from"),
+        (Dynamics(), r"dynamics are plain data, .*: give dynamics\.to_json\(\)"),
         ([1, 2], "unknown dynamics parameter"),
     ],
 )

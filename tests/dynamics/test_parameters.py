@@ -155,6 +155,11 @@ def test_unknown_element_names_what_there_is():
         apply_dynamics("Hopper", compile_nominal("Hopper"), Dynamics(body_mass={"wing": 2.0}))
 
 
+def test_elements_of_two_types_are_unknown_all_the_same():
+    with pytest.raises(ValueError, match="Hopper has no body 1: choose from"):
+        apply_dynamics("Hopper", compile_nominal("Hopper"), Dynamics.from_json({"body_mass": {"wing": 2.0, 1: 2.0}}))
+
+
 def test_elements_that_are_not_named_keep_their_value():
     factors = factor_array("Hopper", Dynamics(body_mass={"leg": 2.0}), PARAMETERS[0])
     np.testing.assert_array_equal(factors, [1, 1, 1, 2, 1])

@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 import dynagen_bench  # noqa: F401, registers the environments
 from dynagen_bench import ids
-from dynagen_bench.dynamics import load_dynamics
+from dynagen_bench.dynamics import Dynamics, load_dynamics
 from dynagen_bench.envs import HORIZON, ROBOT_CLASSES, register_environments
 from dynagen_bench.envs.rules import RANGES
 
@@ -94,6 +94,7 @@ def test_index_none_draws_from_the_split_at_every_reset_by_the_seed():
         ({"split": "test", "index": 5}, ValueError, "whole number from 0 to 4"),
         ({"split": "test", "dynamics": {}}, ValueError, "either dynamics= or split= and index="),
         ({"dynamics": {"body_mass": {"wing": 1.0}}}, ValueError, "has no body 'wing': choose from"),
+        ({"dynamics": Dynamics()}, ValueError, r"give dynamics\.to_json\(\)"),
         ({"gravity": 2.0}, TypeError, "no keyword 'gravity': choose from split, index, dynamics"),
         ({"xml_file": "x.xml"}, TypeError, "no keyword 'xml_file'"),
     ],

@@ -8,6 +8,7 @@ from gymnasium.wrappers import vector as wrappers
 
 import dynagen_bench  # noqa: F401, registers
 from dynagen_bench import ids
+from dynagen_bench.dynamics import Dynamics
 
 MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]
 
@@ -187,6 +188,10 @@ def test_an_unstable_sub_environment_is_reported_and_touches_no_other(tmp_path, 
         ({"index": "all"}, ValueError, "index is 'all': give a number, None, or 'spread'"),
         ({"dynamics": {}, "split": "test"}, ValueError, "give either dynamics= or split="),
         ({"dynamics": {"body_mass": {"wing": 2.0}}}, ValueError, "wing"),
+        ({"dynamics": Dynamics()}, ValueError, r"give dynamics\.to_json\(\)"),
+        ({"dynamics": [Dynamics(), {}]}, ValueError, r"give dynamics\.to_json\(\)"),
+        ({"dynamics": 3}, ValueError, "unknown dynamics parameter 3: choose from body_mass"),
+        ({"dynamics": "heavy"}, ValueError, "unknown dynamics parameter 'heavy': choose from body_mass"),
         ({"autoreset_mode": "Sometimes"}, ValueError, "Sometimes"),
         ({"max_episode_steps": 0}, ValueError, "max_episode_steps is 0"),
         ({"render_mode": "human"}, ValueError, "render_mode is 'human': choose from rgb_array"),
