@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from dynagen_bench import ids
 from dynagen_bench.collection.policies import POLICY_FOLDER
 from dynagen_bench.datasets.scores import reference_scores
-from dynagen_bench.evaluation.experts import behaviour_policy, best_policy
+from dynagen_bench.evaluation.experts import behaviour_policy, best_policy, snapshots_of_tests
 from dynagen_bench.evaluation.policy import Policy
 from dynagen_bench.evaluation.rollout import action_space, evaluate
-from dynagen_bench.evaluation.submission import Run, Submission
+from dynagen_bench.evaluation.submission import MAX_RUNS, Run, Submission
 from dynagen_bench.evaluation.traces import Traces
 
 
@@ -74,6 +74,8 @@ def baseline_submission(
 ) -> tuple[Submission, list[Traces]]:
     """Evaluate a baseline in the test dynamics of robots, as an entry for the leaderboard, with its traces.
 
+    What cannot become an entry is refused before the first evaluation.
+
     Args:
         policy: `random`; `behaviour`, what made the test dynamics' data; `expert`, the best of those.
         robots: on which robots.
@@ -81,15 +83,23 @@ def baseline_submission(
         folder: where the behaviour policies are stored.
 
     Raises:
-        ValueError: an unknown robot, or no run.
+        ValueError: an unknown robot, or one twice, no run, or more runs than a submission may have.
         FileNotFoundError: a robot has no stored behaviour policies.
     """
     if runs < 1 or not robots:
         raise ValueError(f"{runs} runs on {len(robots)} robots asked for: give at least 1 of each")
+    if len({ids.check_robot(robot) for robot in robots}) < len(robots):
+        raise ValueError(f"a robot is named twice in {' '.join(robots)}: name each once")
+    seeds = 1 if policy == "expert" else runs
+    if seeds * len(robots) > MAX_RUNS:
+        raise ValueError(f"{seeds * len(robots)} runs asked for: give at most {MAX_RUNS}, all robots together")
+    if policy != "random":
+        for robot in robots:
+            snapshots_of_tests(robot, folder)
     made, traces = [], []
     for robot in robots:
-        for seed in range(1 if policy == "expert" else runs):
-            found = evaluate(_make(policy, ids.check_robot(robot), seed, folder), robot, progress=True)
+        for seed in range(seeds):
+            found = evaluate(_make(policy, robot, seed, folder), robot, progress=True)
             made.append(Run.from_evaluation(found, seed=seed, gradient_steps=0))
             assert found.traces is not None
             traces.append(found.traces)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dynagen_bench import ids
-from dynagen_bench.evaluation import Policy, RandomPolicy, RewardAware, action_space, data_returns, evaluate
+from dynagen_bench.evaluation import Policy, RandomPolicy, RewardAware, action_space, baselines, data_returns, evaluate
 from dynagen_bench.evaluation.baselines import baseline_submission
 from dynagen_bench.evaluation.submission import read_submission, read_traces, write_submission
 
@@ -61,13 +61,20 @@ def test_behaviour_policies_are_submitted_as_privileged_references(policy, tiny_
     assert len(submission.runs) == (2 if policy == "behaviour" else 1)  # the best ones act without any noise
 
 
-def test_what_cannot_be_submitted_ends_in_one_line(tmp_path):
+def test_what_cannot_be_submitted_ends_in_one_line_before_any_evaluation(tiny_policies, monkeypatch):
+    monkeypatch.setattr(baselines, "evaluate", None)
     for arguments, message in (
         (("random", ["Hoper"]), "did you mean 'Hopper'"),
         (("random", []), "5 runs on 0 robots"),
         (("random", ["Ant"], 0), "0 runs on 1 robots"),
+        (("random", ["Hopper", "Hoper"]), "did you mean 'Hopper'"),
+        (("random", ["Hopper", "Ant", "Hopper"], 1), "a robot is named twice in Hopper Ant Hopper: name each once"),
+        (("random", ["Hopper"], 101), "101 runs asked for: give at most 100, all robots together"),
+        (("behaviour", ["Hopper", "Ant"], 51), "102 runs asked for"),
     ):
-        with pytest.raises(ValueError, match=message):
+        with pytest.raises(ValueError, match=message) as caught:
             baseline_submission(*arguments)
-    with pytest.raises(FileNotFoundError, match="no behaviour policies at"):
-        baseline_submission("expert", ["Ant"], folder=tmp_path)
+        assert "\n" not in str(caught.value)
+    for policy in ("behaviour", "expert"):  # the tiny policies are Hopper's alone
+        with pytest.raises(FileNotFoundError, match="no behaviour policies at"):
+            baseline_submission(policy, ["Hopper", "Ant"], folder=tiny_policies)
