@@ -87,7 +87,8 @@ def evaluate(
 
     Raises:
         TypeError: the policy has no `predict`.
-        ValueError: an unknown robot, split or index, no episode, or actions of a wrong shape or not finite.
+        ValueError: an unknown robot, split or index, no episode, an answer that is not (actions, state), or actions of
+            a wrong shape or not finite.
     """
     if not isinstance(policy, Policy):
         raise TypeError(
@@ -138,9 +139,8 @@ def _run_lanes(
     state, starts = None, np.ones(lanes, dtype=np.bool_)
     for step in range(HORIZON):
         # a copy, because a policy may keep or change what it is given
-        actions, state = policy.predict(
-            observations.copy(), state=state, episode_start=starts.copy(), deterministic=True
-        )
+        answer = policy.predict(observations.copy(), state=state, episode_start=starts.copy(), deterministic=True)
+        actions, state = _parts(answer, step)
         taken = _checked_actions(actions, shape, step)[running]
         result = physics.step(taken, running)
         if recorder is not None:
@@ -160,9 +160,24 @@ def _run_lanes(
     return returns, lengths
 
 
+def _parts(answer: Any, step: int) -> tuple[Any, Any]:
+    """Actions and state of a policy's answer, or one line that says what it gave instead."""
+    if isinstance(answer, tuple | list) and len(answer) == 2:
+        return answer[0], answer[1]
+    form = f"{len(answer)} values" if isinstance(answer, tuple | list) else f"one {type(answer).__name__}"
+    raise ValueError(
+        f"step {step}: predict gave {form}: it must return two, (actions, state), state None if it has none"
+    )
+
+
 def _checked_actions(actions: Any, shape: tuple[int, ...], step: int) -> NDArray[np.float32]:
     """The policy's actions (N, A) as float32, or one line that says what is wrong with them."""
-    given = np.asarray(actions)
+    try:
+        given = np.asarray(actions)
+    except ValueError as error:  # rows of different lengths
+        raise ValueError(
+            f"step {step}: the policy's actions are no array, it must give numbers of shape {shape}"
+        ) from error
     if given.shape != shape or given.dtype.kind not in "fiu":
         raise ValueError(
             f"step {step}: the policy gave actions of shape {given.shape} and type {given.dtype}, "

@@ -172,12 +172,34 @@ def one_bad_row(value):
         (np.zeros(3), r"shape \(3,\)"),
         (np.full((5, 3), "left"), "type <U4"),
         (None, "type object"),
+        (
+            [[0.0] * 3] * 4 + [[0.0]],
+            r"step 0: the policy's actions are no array, it must give numbers of shape \(5, 3\)",
+        ),
     ],
 )
 def test_bad_actions_end_in_one_line_and_reach_no_physics(actions, message):
     with pytest.raises(ValueError, match=message) as caught:
         evaluate(Gives(actions), "Hopper", episodes=1)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("answer", "form"),
+    [
+        (np.zeros((5, 3)), "one ndarray"),
+        (np.zeros((2, 3)), "one ndarray"),
+        ((np.zeros((5, 3)), None, None), "3 values"),
+        (None, "one NoneType"),
+    ],
+)
+def test_an_answer_that_is_not_actions_and_state_is_told_in_one_line(answer, form):
+    class Odd:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return answer
+
+    with pytest.raises(ValueError, match=rf"step 0: predict gave {form}: it must return two, \(actions, state\)"):
+        evaluate(Odd(), "Hopper", episodes=1)
 
 
 @pytest.mark.parametrize(
