@@ -12,6 +12,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from dynagen_bench import ids
 from dynagen_bench.dynamics import Dynamics, apply_dynamics, compile_nominal
 from dynagen_bench.envs.robots import ROBOT_CLASSES
 from dynagen_bench.envs.rules import Array, Reward, Rules, Values, initial_state, observe, reward, velocity_info
@@ -64,7 +65,7 @@ class BatchPhysics:
         """
         if not dynamics:
             raise ValueError("no dynamics given: a batch needs at least one")
-        robot_class = ROBOT_CLASSES[robot]
+        robot_class = ROBOT_CLASSES[ids.check_robot(robot)]
         self.robot = robot
         self.rules = robot_class.default_rules if rules is None else rules
         self._touch = self.rules.contact_cost_weight > 0

@@ -188,7 +188,8 @@ def physics_digest(robot: str) -> str:
     """16 hexadecimal digits of how this machine computes: two machines of the same digest replay each other exactly.
 
     It is of the states and rewards of a short fixed episode of the nominal robot, and of MuJoCo's version: the same
-    arithmetic gives the same digest, whatever a processor or a C library is called.
+    arithmetic gives the same digest, whatever a processor or a C library is called. Raises ValueError for an unknown
+    robot.
     """
     physics = BatchPhysics(robot, [Dynamics()], threads=1)
     rng = np.random.default_rng(0)

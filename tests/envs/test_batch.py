@@ -6,8 +6,9 @@ import pytest
 from gymnasium.utils import seeding
 
 from dynagen_bench import ids
-from dynagen_bench.dynamics import load_dynamics
+from dynagen_bench.dynamics import Dynamics, load_dynamics
 from dynagen_bench.envs import BatchPhysics
+from dynagen_bench.evaluation.traces import physics_digest
 
 
 def batch_of(robot: str, split: str, size: int, threads: int) -> BatchPhysics:
@@ -114,6 +115,12 @@ def test_bad_actions_never_reach_the_physics(actions, message):
     with pytest.raises(ValueError, match=message):
         batch.step(actions)
     np.testing.assert_array_equal(batch.qpos, before)
+
+
+def test_an_unknown_robot_is_told_the_near_one():
+    for call in (lambda: BatchPhysics("Hoper", [Dynamics()]), lambda: physics_digest("Hoper")):
+        with pytest.raises(ValueError, match=r"unknown robot 'Hoper': .* did you mean 'Hopper'"):
+            call()
 
 
 def test_no_dynamics_is_refused():
