@@ -68,7 +68,7 @@ class BatchPhysics:
         robot_class = ROBOT_CLASSES[ids.check_robot(robot)]
         self.robot = robot
         self.rules = robot_class.default_rules if rules is None else rules
-        self._touch = self.rules.contact_cost_weight > 0
+        self._touch = self.rules.contact_cost_weight != 0
         self._compiled: dict[int, tuple[Dynamics, mujoco.MjModel]] = {}
         self._models = [self._model(drawn) for drawn in dynamics]
         model = self._models[0]

@@ -242,6 +242,13 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
     def _tell_of_step(self, infos: Infos, rows: NDArray[np.intp] | None, result: Transition) -> None:
         """Put into `infos` what is said of a step of sub-environments (M,), or of all."""
         said = self._positions(rows, result.states) | result.velocities | reward_info(result.terms)
+        if self._tendons:
+            # MuJoCo has reset these; the old state stands, and may be one that the batch would reset again
+            for row in np.flatnonzero(result.unstable):
+                old = np.split(result.states[row], [self.physics.qpos.shape[1]])
+                self._single.set_state(*old)  # type: ignore[no-untyped-call]
+                data = self._single.data  # of the nominal body: its tendons lie and move as those of any draw
+                said["tendon_length"][row], said["tendon_velocity"][row] = data.ten_length, data.ten_velocity
         self._tell(infos, rows, said)
         if result.unstable.any():
             bad = np.arange(self.num_envs)[_all_or(rows)][result.unstable]

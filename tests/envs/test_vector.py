@@ -153,6 +153,16 @@ def test_rules_given_as_keywords_reach_every_sub_environment():
     assert_same_run(ours, theirs, seed=0, steps=30)
 
 
+def test_contact_that_is_rewarded_is_asked_for_too():
+    ours = gymnasium.make_vec("Ant-RandDyn-test0", num_envs=2, max_episode_steps=25, contact_cost_weight=-1e-3)
+    kwargs = {"split": "test", "index": 0, "contact_cost_weight": -1e-3}
+    theirs = sync_of("Ant", [kwargs] * 2, AutoresetMode.NEXT_STEP)
+    assert_same_run(ours, theirs, seed=0, steps=30)
+    ours.reset(seed=0)
+    contact = [ours.step(np.zeros(ours.action_space.shape))[4]["reward_contact"] for _ in range(20)]
+    assert np.max(contact) > 0
+
+
 def test_an_unstable_sub_environment_is_reported_and_touches_no_other(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its log where the process stands
     calm, shaken = (gymnasium.make_vec("Hopper-RandDyn-v0", num_envs=3, split="test") for _ in range(2))
@@ -171,6 +181,30 @@ def test_an_unstable_sub_environment_is_reported_and_touches_no_other(tmp_path, 
     assert rewards[1] == 0.0
     assert np.abs(observations[1, 5:]).max() < 0.01
     assert infos["_dynamics_index"].tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.value)
+@pytest.mark.parametrize("speed", [9e9, 1e12])  # too fast after a substep, and before
+@pytest.mark.parametrize("robot", ids.ROBOTS)
+def test_an_unstable_step_is_that_of_the_single_environment(robot, speed, mode, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log where the process stands
+    ours = gymnasium.make_vec(f"{robot}-RandDyn-v0", num_envs=3, split="test", autoreset_mode=mode)
+    theirs = sync_of(robot, [{"split": "test", "index": i} for i in range(3)], mode)
+    for env in (ours, theirs):
+        env.reset(seed=0)
+    shaken = theirs.envs[1].unwrapped
+    qvel = shaken.data.qvel.copy()
+    qvel[3] = speed
+    shaken.set_state(shaken.data.qpos.copy(), qvel)
+    ours.unwrapped.physics.qvel[1, 3] = speed
+    for step in range(3):
+        actions = np.full(ours.action_space.shape, 0.1 * step, dtype=np.float32)
+        *arrays, infos = ours.step(actions)
+        *their_arrays, their_infos = theirs.step(actions)
+        for mine, its in zip(arrays, their_arrays, strict=True):
+            np.testing.assert_array_equal(mine, its)
+        assert_same_infos(infos, their_infos)
+        assert arrays[2].any() == (step == 0)
 
 
 @pytest.mark.parametrize(
