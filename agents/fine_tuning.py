@@ -98,11 +98,18 @@ class TrainedRun:
 
         Raises:
             FileNotFoundError: the folder is no finished run.
-            ValueError: the run is of a predictor, was not trained to its end, or its checkpoint is of another run.
+            ValueError: the run is of a predictor, was not trained to its end, or its checkpoint is of another run or
+                step.
         """
         config, record = read_finished(folder, AGENTS)
         agent, robot = config["agent"], config["settings"]["robot"]
-        return cls(folder, config, record, load_checkpoint(folder / "last.safetensors", agent=agent, robot=robot))
+        checkpoint = load_checkpoint(folder / "last.safetensors", agent=agent, robot=robot)
+        if checkpoint.step != record["gradient_steps"]:
+            raise ValueError(
+                f"{folder}/last.safetensors is at step {checkpoint.step}, its evaluation of step "
+                f"{record['gradient_steps']}: give the command that trains it again"
+            )
+        return cls(folder, config, record, checkpoint)
 
     def data(self, names: Sequence[ids.DynamicsId], episodes: int) -> list[OfflineDataset]:
         """The adaptation set of each dynamics, from the part of the snapshots that the run was trained on."""

@@ -17,8 +17,8 @@ import safetensors.torch
 
 from agents import AGENTS
 from agents.checkpoint import load_checkpoint, save_checkpoint
+from agents.fine_tuning import TrainedRun
 from agents.interface import Agent
-from agents.run_folder import read_finished
 from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.whole import whole_file
 
@@ -76,13 +76,8 @@ def store_run(run: Path, replace: bool = False, folder: Path = FOLDER) -> Path:
         FileNotFoundError: it is no finished run.
         ValueError: it is of what does not act, its files do not belong together, or other weights are stored.
     """
-    config, record = read_finished(run, AGENTS)
-    checkpoint = load_checkpoint(run / "last.safetensors", agent=config["agent"], robot=config["settings"]["robot"])
-    if checkpoint.step != record["gradient_steps"]:
-        raise ValueError(
-            f"{run}/last.safetensors is at step {checkpoint.step}, its evaluation of step {record['gradient_steps']}: "
-            "give the command that trains it again"
-        )
+    trained = TrainedRun.read(run)
+    config, record, checkpoint = trained.config, trained.record, trained.checkpoint
     path = folder / f"{checkpoint.agent}-{checkpoint.spec.robot}.safetensors"
     if path.exists() and not replace:
         raise ValueError(f"{path} is there, with score {read_about(path)['score']}: give --replace to store this run")

@@ -86,9 +86,9 @@ def train(
         record, result = recorder(learner, settings, folder)
         curves = Curves(folder, learner.step)
         try:
-            _run(learner, sampler, validation, settings, folder, curves, record, report)
-            if not result.is_file():  # deleted, after the run was complete
-                record(official=True)
+            done = learner.step == config.steps or has_stalled(curves.points("validation_return"), settings.patience)
+            if not done or not result.is_file():  # which was deleted, or the process killed before it was made
+                _run(learner, sampler, validation, settings, folder, curves, record, report, done)
         finally:
             curves.close()
     return folder
@@ -103,11 +103,14 @@ def _run(
     curves: Curves,
     record: Record,
     report: Callable[[int], None],
+    done: bool,
 ) -> None:
-    """Train to the last step: after each, what is due of a line of the curves, an evaluation and a checkpoint."""
+    """Take the steps that are left, if any, and make the official result, of a checkpoint that is there by then.
+
+    After each step comes what is due of a line of the curves, an evaluation and a checkpoint.
+    """
     steps, recent = learner.config.steps, list[dict[str, float]]()
     before, started = learner.seconds, time.monotonic()
-    done = learner.step == steps or has_stalled(curves.points("validation_return"), settings.patience)
     if not done:
         for result in ("evaluation.json", PREDICTION):
             (folder / result).unlink(missing_ok=True)  # of a checkpoint that is not the last one any more
@@ -129,10 +132,14 @@ def _run(
                 if validation is not None:
                     curves.add(step, validation.measure(learner.agent))
                 done = done or has_stalled(curves.points("validation_return"), settings.patience)
-                curves.add(step, record(official=done))
+                if not done:
+                    curves.add(step, record(official=False))
             if done or step % settings.checkpoint_every == 0:
                 curves.save()
                 save_checkpoint(folder / "last.safetensors", learner.checkpoint())
+        bars.update(bar, note="evaluating")
+        curves.add(learner.step, record(official=True))
+    curves.save()
 
 
 def mean_of_each(lines: list[dict[str, float]]) -> dict[str, float]:

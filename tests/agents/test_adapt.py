@@ -161,6 +161,12 @@ def edited(run, change):
     (run / "config.json").write_text(json.dumps(config))
 
 
+def at_step(run, step):
+    """Change the last checkpoint."""
+    path = run / "last.safetensors"
+    save_checkpoint(path, dataclasses.replace(load_checkpoint(path), step=step))
+
+
 @pytest.mark.parametrize(
     ("spoil", "options", "message"),
     [
@@ -168,6 +174,7 @@ def edited(run, change):
         (lambda run: (run / "last.safetensors").unlink(), [], "is no finished run, it has no last.safetensors: train"),
         (lambda run: (run / "evaluation.json").unlink(), [], "is no finished run, it has no evaluation.json: train"),
         (lambda run: edited(run, lambda c: c["config"].update(steps=9)), [], "was evaluated at step 2 of 9: train"),
+        (lambda run: at_step(run, 1), [], "last.safetensors is at step 1, its evaluation of step 2: give the command"),
         (lambda run: edited(run, lambda c: c.update(agent="mlp")), [], "is of 'mlp', which does not act: give a run"),
         (lambda run: edited(run, lambda c: c.update(agent="dt")), [], "is of agent 'dadt', not 'dt'"),
         (

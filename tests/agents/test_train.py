@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import torch
 
-from agents.checkpoint import load_checkpoint
+from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.learner import Learner
-from agents.run_folder import RunSettings, claimed
+from agents.run_folder import RunSettings, claimed, write_json
 from agents.train import main, train
 from dynagen_bench.datasets import WindowSampler, load_dataset
 from dynagen_bench.evaluation import Evaluation, evaluate, reset_seeds
@@ -97,6 +97,36 @@ def test_more_steps_continue_a_finished_run_and_fewer_are_refused(tmp_path):
     assert same(parameters(whole), parameters(folder))
     with pytest.raises(ValueError, match="is at step 12 already: give --steps 12 or more"):
         train("dt", tiny_config("dt", steps=6), settings(tmp_path / "more"), random_dataset())
+
+
+def test_the_official_result_is_of_a_checkpoint_that_is_there(tmp_path, monkeypatch):
+    config = tiny_config("dt", steps=4)
+    whole = train("dt", config, settings(tmp_path / "whole", checkpoint_every=2), random_dataset())
+    cut = settings(tmp_path / "cut", checkpoint_every=2)
+
+    def stopped(at, then):
+        def write(path, content):
+            if at(path, content):
+                raise KeyboardInterrupt
+            then(path, content)
+
+        return write
+
+    for function, at, steps in (
+        ("agents.train.save_checkpoint", lambda path, checkpoint: checkpoint.step == 4, 2),
+        ("agents.recording.write_json", lambda path, record: path.name == "evaluation.json", 4),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(function, stopped(at, save_checkpoint if "checkpoint" in function else write_json))
+            with pytest.raises(KeyboardInterrupt):
+                train("dt", config, cut, random_dataset())
+        assert load_checkpoint(cut.folder("dt") / "last.safetensors").step == steps
+        assert not (cut.folder("dt") / "evaluation.json").exists()
+    folder = train("dt", config, cut, random_dataset())
+    assert same(parameters(whole), parameters(folder))
+    results = [json.loads((place / "evaluation.json").read_text())["evaluation"] for place in (whole, folder)]
+    assert results[0] == results[1]
+    assert [{**row, "seconds": ""} for row in curves(whole)] == [{**row, "seconds": ""} for row in curves(folder)]
 
 
 def test_low_quality_data_are_the_worst_episodes_of_all(tiny_data, tmp_path):
