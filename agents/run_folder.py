@@ -4,7 +4,8 @@ What is here: the folder's files, `RunSettings`, and the curves. Called by `trai
 know any agent.
 
     runs/dadt-Hopper-seed0/
-      config.json             resolved config and settings, data, package versions, git commit
+      config.json             resolved config and settings, data, package versions, git commit: of the last command that
+                              took a step, not of one that found the run complete
       curves.csv              a line every `log_every` steps; TensorBoard's events beside it in tensorboard/
       last.safetensors        the last checkpoint, from which a killed run continues
       evaluation.json         the official result: the last checkpoint's in the test dynamics; `stopped_early` in it
@@ -121,8 +122,10 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def claimed(folder: Path, description: Mapping[str, Any]) -> Iterator[None]:
-    """Be the only process in a run folder, which is new or of the same run; its config.json is written.
+def claimed(folder: Path, description: Mapping[str, Any]) -> Iterator[dict[str, Any] | None]:
+    """Be the only process in a run folder, which is new or of the same run; gives what its config.json says, if any.
+
+    Nothing is written: a command that is refused later, or has nothing to do, leaves the run as it is.
 
     Args:
         folder: made if it is not there.
@@ -135,11 +138,11 @@ def claimed(folder: Path, description: Mapping[str, Any]) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
         path = folder / "config.json"
-        if path.is_file():
+        there = read_json(path) if path.is_file() else None
+        if there is not None:
             here = _identity(json.loads(json.dumps(description)))
-            check_same_run(folder, _identity(read_json(path)), here, instead="--name")
-        write_json(path, description)
-        yield
+            check_same_run(folder, _identity(there), here, instead="--name")
+        yield there
 
 
 @contextlib.contextmanager
@@ -172,9 +175,20 @@ def read_finished(folder: Path, agents: Collection[str]) -> tuple[dict[str, Any]
     config, record = read_json(folder / "config.json"), read_json(folder / "evaluation.json")
     config["settings"] = _default_settings() | config["settings"]
     found, wanted = record["gradient_steps"], config["config"]["steps"]
-    if found != wanted and not record.get("stopped_early"):
+    if not ends_run(record, wanted):
         raise ValueError(f"{folder} was evaluated at step {found} of {wanted}: train it to the end first")
     return config, record
+
+
+def ends_run(record: Mapping[str, Any], steps: int) -> bool:
+    """Whether a result is of the end of a run of so many steps: of the last one, or of where `patience` ended it."""
+    return record.get("gradient_steps") == steps or bool(record.get("stopped_early"))
+
+
+def same_length(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether two descriptions of a run say alike when it ends."""
+    first, second = _facts(one), _facts(other)
+    return all(first[key] == second[key] for key in _LENGTH)
 
 
 def _default_settings() -> dict[str, Any]:
@@ -194,10 +208,15 @@ def check_same_run(folder: Path, there: Mapping[str, Any], here: Mapping[str, An
 
 
 def _identity(description: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in _facts(description).items() if key not in (*_RECORD_ONLY, *_LENGTH)}
+
+
+def _facts(description: Mapping[str, Any]) -> dict[str, Any]:
+    """All that a description tells of what is trained, flat."""
     parts = {**_default_settings(), "agent": description["agent"]}
     for group in ("config", "settings", "data"):
         parts |= description[group]
-    return {key: value for key, value in parts.items() if key not in (*_RECORD_ONLY, *_LENGTH)}
+    return parts
 
 
 def git_commit() -> str | None:

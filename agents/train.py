@@ -28,7 +28,17 @@ from agents.interface import Fitted, RobotSpec, Sampler
 from agents.learner import Learner
 from agents.prediction import PREDICTION
 from agents.recording import Record, progress_bar, recorder, score_if_known
-from agents.run_folder import Curves, RunSettings, claimed, git_commit, read_json
+from agents.run_folder import (
+    Curves,
+    RunSettings,
+    claimed,
+    ends_run,
+    git_commit,
+    read_curve,
+    read_json,
+    same_length,
+    write_json,
+)
 from agents.validation import Validation, check_patience, has_stalled, set_apart
 from dynagen_bench.datasets import OfflineDataset, load_dataset
 from dynagen_bench.evaluation import Evaluation
@@ -69,7 +79,8 @@ def train(
     config = config.for_robot(settings.robot)
     dataset, held = set_apart(dataset, settings.hold_out)
     folder = settings.folder(name)
-    with claimed(folder, describe(name, config, settings, dataset) | {"command": command}):
+    description = describe(name, config, settings, dataset) | {"command": command}
+    with claimed(folder, description) as before:
         check_finite(dataset)
         normalization = dataset.normalization()
         learner = Learner(name, config, RobotSpec.of_robot(settings.robot, normalization), settings.seed)
@@ -79,19 +90,31 @@ def train(
         if learner.step > config.steps:
             raise ValueError(f"{folder} is at step {learner.step} already: give --steps {learner.step} or more")
         check_patience(name, learner.agent, settings.patience)
+        returns = [value for step, value in read_curve(folder, "validation_return") if step <= learner.step]
+        done = learner.step == config.steps or has_stalled(returns, settings.patience)
+        record, result = recorder(learner, settings, folder)
+        if done and _is_complete(result, before, learner.step):
+            return folder
         sampler = config.sampler(dataset, normalization)
         if learner.step == 0 and isinstance(learner.agent, Fitted):
             learner.agent.fit(sampler)
         validation = None if held is None else Validation(held, settings.hold_out, config, learner.spec)
-        record, result = recorder(learner, settings, folder)
+        if not done or before is None or not same_length(before, description):
+            write_json(folder / "config.json", description)
         curves = Curves(folder, learner.step)
         try:
-            done = learner.step == config.steps or has_stalled(curves.points("validation_return"), settings.patience)
-            if not done or not result.is_file():  # which was deleted, or the process killed before it was made
-                _run(learner, sampler, validation, settings, folder, curves, record, report, done)
+            _run(learner, sampler, validation, settings, folder, curves, record, report, done)
         finally:
             curves.close()
     return folder
+
+
+def _is_complete(result: Path, description: Mapping[str, Any] | None, step: int) -> bool:
+    """Whether a run has its official result, of the step it is at, where its config.json says that it ends."""
+    if description is None or not result.is_file():
+        return False
+    found = read_json(result)
+    return found["gradient_steps"] == step and ends_run(found, description["config"]["steps"])
 
 
 def _run(

@@ -15,7 +15,7 @@ import torch
 
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.learner import Learner
-from agents.run_folder import RunSettings, claimed, write_json
+from agents.run_folder import RunSettings, claimed, read_finished, write_json
 from agents.train import main, train
 from dynagen_bench.datasets import WindowSampler, load_dataset
 from dynagen_bench.evaluation import Evaluation, evaluate, reset_seeds
@@ -95,8 +95,45 @@ def test_more_steps_continue_a_finished_run_and_fewer_are_refused(tmp_path):
         folder = train("dt", tiny_config("dt", steps=steps), settings(tmp_path / "more"), random_dataset())
         assert json.loads((folder / "evaluation.json").read_text())["gradient_steps"] == steps
     assert same(parameters(whole), parameters(folder))
+    before = contents(folder)
     with pytest.raises(ValueError, match="is at step 12 already: give --steps 12 or more"):
         train("dt", tiny_config("dt", steps=6), settings(tmp_path / "more"), random_dataset())
+    assert contents(folder) == before
+
+
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_command_that_finds_the_run_complete_leaves_it_as_it_is(tmp_path, monkeypatch):
+    folder = train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset(), command="first")
+    before = contents(folder)
+    monkeypatch.setattr("agents.train.git_commit", lambda: "b" * 40)
+    train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset(), command="second")
+    assert contents(folder) == before
+    (folder / "evaluation.json").unlink()  # made again, and not by another training
+    train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset(), command="third")
+    assert {path.name for path, old in before.items() if contents(folder)[path] != old} <= {"evaluation.json"}
+    train("dt", tiny_config("dt", steps=3), settings(tmp_path), random_dataset(), command="more")
+    config = json.loads((folder / "config.json").read_text())
+    assert (config["commit"], config["command"], config["config"]["steps"]) == ("b" * 40, "more", 3)
+
+
+def test_a_run_stopped_on_the_way_is_finished_where_it_stands_if_that_is_asked_for(tmp_path, monkeypatch):
+    update = Learner.update
+
+    def stopped(self, sampler):
+        if self.step == 5:
+            raise KeyboardInterrupt
+        return update(self, sampler)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Learner, "update", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            train("dt", tiny_config("dt", steps=8), settings(tmp_path), random_dataset())
+    folder = train("dt", tiny_config("dt", steps=4), settings(tmp_path), random_dataset())
+    config, record = read_finished(folder, ["dt"])
+    assert (config["config"]["steps"], record["gradient_steps"], record["stopped_early"]) == (4, 4, False)
 
 
 def test_the_official_result_is_of_a_checkpoint_that_is_there(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from agents.checkpoint import load_checkpoint
 from agents.learner import Learner
 from agents.mlp import MLPConfig
+from agents.run_folder import read_finished, read_json, write_json
 from agents.train import train
 from agents.validation import BATCHES, Validation, check_patience, has_stalled, held_out_indices, set_apart
 from dynagen_bench.datasets import WindowSampler
@@ -112,6 +113,23 @@ def test_a_run_that_stopped_goes_on_when_it_is_told_to(tmp_path):
     assert train("dt", config, stopping(tmp_path, patience=0), dataset) == folder
     record = json.loads((folder / "evaluation.json").read_text())
     assert (record["gradient_steps"], record["stopped_early"]) == (8, False)
+
+
+def test_a_run_that_stalls_at_its_last_step_is_finished_also_when_more_steps_are_asked_for(tmp_path):
+    dataset, config = dataset_of(0, 19), tiny_config("dt", learning_rate=0.0, steps=6)
+    folder = train("dt", config, stopping(tmp_path), dataset)
+    longer = dataclasses.replace(config, steps=12)
+    assert train("dt", longer, stopping(tmp_path), dataset) == folder
+    found, record = read_finished(folder, ["dt"])
+    assert (found["config"]["steps"], record["gradient_steps"], record["stopped_early"]) == (6, 6, False)
+
+    about = read_json(folder / "config.json")
+    write_json(folder / "config.json", about | {"config": about["config"] | {"steps": 12}})  # as it was left once
+    with pytest.raises(ValueError, match="was evaluated at step 6 of 12: train it to the end first"):
+        read_finished(folder, ["dt"])
+    train("dt", longer, stopping(tmp_path), dataset)
+    found, record = read_finished(folder, ["dt"])
+    assert (found["config"]["steps"], record["gradient_steps"], record["stopped_early"]) == (12, 6, True)
 
 
 @pytest.mark.parametrize(
