@@ -8,7 +8,7 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import rich
@@ -19,7 +19,7 @@ import tyro
 from agents.checkpoint import Checkpoint, load_checkpoint
 from agents.interface import Predictor
 from agents.prediction import EPISODES, PredictionErrors, prediction_errors, write_prediction
-from agents.run_folder import read_json
+from agents.run_folder import default_settings, read_config
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
 
@@ -29,8 +29,13 @@ class Run(NamedTuple):
 
     folder: Path
     checkpoint: Checkpoint
-    every: int
-    """The part of the data that it was trained on, one in so many snapshots."""
+    settings: dict[str, Any]
+    """Of `RunSettings`, as JSON types."""
+
+    @property
+    def every(self) -> int:
+        """The part of the data that it was trained on, one in so many snapshots."""
+        return int(self.settings["every"])
 
     @property
     def cell(self) -> tuple[str, str]:
@@ -75,13 +80,17 @@ def predict(
 
 
 def read_run(folder: Path) -> Run:
-    """A run's last checkpoint; raises FileNotFoundError where there is none."""
+    """A run's last checkpoint and settings.
+
+    Raises:
+        FileNotFoundError: the folder is no run.
+        ValueError: its files are not what training writes.
+    """
     for file in ("config.json", "last.safetensors"):
         if not (folder / file).is_file():
             raise FileNotFoundError(f"{folder} is no run, it has no {file}: give a folder that training made")
-    return Run(
-        folder, load_checkpoint(folder / "last.safetensors"), read_json(folder / "config.json")["settings"]["every"]
-    )
+    settings = default_settings() | read_config(folder)["settings"]
+    return Run(folder, load_checkpoint(folder / "last.safetensors"), settings)
 
 
 def check_comparable(runs: Sequence[Run], test_every: int | None) -> dict[str, int]:

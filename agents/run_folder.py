@@ -121,6 +121,22 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
+def read_config(folder: Path) -> dict[str, Any]:
+    """A run's config.json as it stands: a run that is older than a setting does not tell it.
+
+    Raises:
+        ValueError: one line, it is not what training writes.
+    """
+    path = folder / "config.json"
+    about = read_json(path)
+    parts = (about.get("agent"), about.get("config"), about.get("settings"))
+    if not all(isinstance(part, kind) for part, kind in zip(parts, (str, dict, dict), strict=True)):
+        raise ValueError(f"{path} tells no agent, config and settings: delete the run folder and train again")
+    if not isinstance(about["settings"].get("robot"), str) or not isinstance(about["settings"].get("seed"), int):
+        raise ValueError(f"{path} tells no robot and seed: delete the run folder and train again")
+    return about
+
+
 @contextlib.contextmanager
 def claimed(folder: Path, description: Mapping[str, Any]) -> Iterator[dict[str, Any] | None]:
     """Be the only process in a run folder, which is new or of the same run; gives what its config.json says, if any.
@@ -137,8 +153,7 @@ def claimed(folder: Path, description: Mapping[str, Any]) -> Iterator[dict[str, 
     """
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
-        path = folder / "config.json"
-        there = read_json(path) if path.is_file() else None
+        there = read_config(folder) if (folder / "config.json").is_file() else None
         if there is not None:
             here = _identity(json.loads(json.dumps(description)))
             check_same_run(folder, _identity(there), here, instead="--name")
@@ -170,10 +185,10 @@ def read_finished(folder: Path, agents: Collection[str]) -> tuple[dict[str, Any]
     for file in ("config.json", "last.safetensors", "evaluation.json", "evaluation-best.json"):
         if not (folder / file).is_file():
             raise FileNotFoundError(f"{folder} is no finished run, it has no {file}: train it to the end first")
-        if file == "config.json" and (agent := read_json(folder / file)["agent"]) not in agents:
+        if file == "config.json" and (agent := read_config(folder)["agent"]) not in agents:
             raise ValueError(f"{folder} is of {agent!r}, which does not act: give a run of {', '.join(agents)}")
-    config, record = read_json(folder / "config.json"), read_json(folder / "evaluation.json")
-    config["settings"] = _default_settings() | config["settings"]
+    config, record = read_config(folder), read_json(folder / "evaluation.json")
+    config["settings"] = default_settings() | config["settings"]
     found, wanted = record["gradient_steps"], config["config"]["steps"]
     if not ends_run(record, wanted):
         raise ValueError(f"{folder} was evaluated at step {found} of {wanted}: train it to the end first")
@@ -191,7 +206,7 @@ def same_length(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     return all(first[key] == second[key] for key in _LENGTH)
 
 
-def _default_settings() -> dict[str, Any]:
+def default_settings() -> dict[str, Any]:
     """Of a run that is older than a setting, which it then has by default."""
     fields = dataclasses.fields(RunSettings)
     return {field.name: field.default for field in fields if field.default is not dataclasses.MISSING}
@@ -213,9 +228,9 @@ def _identity(description: Mapping[str, Any]) -> dict[str, Any]:
 
 def _facts(description: Mapping[str, Any]) -> dict[str, Any]:
     """All that a description tells of what is trained, flat."""
-    parts = {**_default_settings(), "agent": description["agent"]}
+    parts = {**default_settings(), "agent": description["agent"]}
     for group in ("config", "settings", "data"):
-        parts |= description[group]
+        parts |= description.get(group, {})
     return parts
 
 

@@ -20,7 +20,7 @@ from typing import Any, Final
 from agents.braces import expand
 from agents.config import TrainingConfig
 from agents.recording import run_files
-from agents.run_folder import RunSettings, check_same_run, read_json
+from agents.run_folder import RunSettings, check_same_run, read_config
 from agents.train import parse
 from dynagen_bench.jobs import Job
 
@@ -98,7 +98,7 @@ def is_finished(one: SweepRun, runs: Path) -> bool:
     path = runs / one.name / "config.json"
     if not path.is_file():
         return False
-    found = read_json(path)
+    found = read_config(path.parent)
     old = _description(dataclasses.replace(one, config=type(one.config)(), settings=RunSettings(one.settings.robot)))
     old |= {**found["settings"], **found["config"], "agent": found["agent"]}  # what is newer than it is by default
     there, here = ({k: v for k, v in facts.items() if k not in _OURS} for facts in (old, _description(one)))

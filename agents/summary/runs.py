@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from agents.run_folder import read_json
+from agents.run_folder import read_config
 
 _RECORD_ONLY: Final = ("runs", "name", "seed", "threads", "evaluate_every", "checkpoint_every", "log_every")
 """Settings in which the runs of a group may differ."""
@@ -91,12 +91,7 @@ def read_runs(folder: Path) -> list[Run]:
         curves = path.with_name("curves.csv")
         if path.parent.name.startswith(".") or not curves.is_file():
             continue
-        about = read_json(path)
-        parts = (about.get("agent"), about.get("config"), about.get("settings"))
-        if not all(isinstance(part, kind) for part, kind in zip(parts, (str, dict, dict), strict=True)):
-            raise ValueError(f"{path} tells no agent, config and settings: delete the run folder and train again")
-        if not isinstance(about["settings"].get("robot"), str) or not isinstance(about["settings"].get("seed"), int):
-            raise ValueError(f"{path} tells no robot and seed: delete the run folder and train again")
+        about = read_config(path.parent)
         found.append(Run(path.parent.name, about, _read_curves(curves)))
     return found
 

@@ -171,6 +171,7 @@ def at_step(run, step):
     ("spoil", "options", "message"),
     [
         (lambda run: (run / "config.json").unlink(), [], "is no finished run, it has no config.json"),
+        (lambda run: (run / "config.json").write_text("{}"), [], "config.json tells no agent, config and settings"),
         (lambda run: (run / "last.safetensors").unlink(), [], "is no finished run, it has no last.safetensors: train"),
         (lambda run: (run / "evaluation.json").unlink(), [], "is no finished run, it has no evaluation.json: train"),
         (lambda run: edited(run, lambda c: c["config"].update(steps=9)), [], "was evaluated at step 2 of 9: train"),

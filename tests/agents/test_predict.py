@@ -38,6 +38,13 @@ def record_of(folder):
     return json.loads((folder / "prediction.json").read_text())
 
 
+def edit_settings(folder, **changes):
+    """Change the settings in config.json."""
+    config = json.loads((folder / "config.json").read_text())
+    config["settings"] |= changes
+    write_json(folder / "config.json", config)
+
+
 def said(capsys):
     """What was printed, on one line."""
     return " ".join(capsys.readouterr().out.split())
@@ -91,12 +98,14 @@ def test_a_part_of_the_test_data(tiny_data, tmp_path):
 def test_bad_input_is_one_line(tiny_data, tmp_path, capsys):
     first, other = trained("mlp", tmp_path), trained("mlp", tmp_path / "wide", "--hidden", "100")
     old = trained("lstm", tmp_path)
-    config = json.loads((old / "config.json").read_text())
-    config["settings"]["every"] = 4
-    (old / "config.json").write_text(json.dumps(config))
+    edit_settings(old, every=4)
+    (tmp_path / "empty").mkdir()
+    for file in ("config.json", "last.safetensors"):
+        (tmp_path / "empty" / file).write_text("{}")
     cases = [
         ([], "no runs given: name at least one run folder"),
         ([tmp_path / "none"], "none is no run, it has no config.json: give a folder that training made"),
+        ([tmp_path / "empty"], r"config.json tells no agent, config and settings: delete the run folder and train"),
         ([first, other], "hidden of .* is 200, of .* 100: a mean over both means nothing, give them apart"),
         ([first, old], "was trained on every 4 of the snapshots, another run of its robot on every 1: give --test-ev"),
         ([first, "--episodes", "0"], "episodes is 0: give a whole number from 1 on"),

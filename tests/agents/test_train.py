@@ -210,6 +210,9 @@ def test_a_folder_of_another_run_is_refused(tmp_path):
             train("dt", config, settings(tmp_path), data)
     with pytest.raises(ValueError, match="another run, agent is 'dt' there and 'dadt' here"):
         train("dadt", tiny_config("dadt"), settings(tmp_path, name="dt-Hopper-seed0"), random_dataset())
+    (tmp_path / "dt-Hopper-seed0" / "config.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"config\.json tells no agent, config and settings: delete the run folder"):
+        train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset())
 
 
 def test_two_processes_do_not_train_in_one_folder(tmp_path):
