@@ -19,7 +19,7 @@ import tyro
 from agents.checkpoint import Checkpoint, load_checkpoint
 from agents.interface import Predictor
 from agents.prediction import EPISODES, PredictionErrors, prediction_errors, write_prediction
-from agents.run_folder import default_settings, read_config
+from agents.run_folder import DATA, default_settings, read_config
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
 
@@ -97,10 +97,11 @@ def check_comparable(runs: Sequence[Run], test_every: int | None) -> dict[str, i
     """The part of the test data for each robot.
 
     Raises:
-        ValueError: runs of one agent and robot differ in more than their seed, or runs of one robot in their part of
-            the data while no part is asked for.
+        ValueError: runs of one agent and robot differ in more than their seed, or in nothing; or runs of one robot in
+            their part of the data while no part is asked for.
     """
-    parts, first = dict[str, int](), dict[tuple[str, str], Run]()
+    check_cells(runs)
+    parts = dict[str, int]()
     for run in runs:
         part = parts.setdefault(run.checkpoint.spec.robot, run.every if test_every is None else test_every)
         if test_every is None and part != run.every:
@@ -108,15 +109,33 @@ def check_comparable(runs: Sequence[Run], test_every: int | None) -> dict[str, i
                 f"{run.folder} was trained on every {run.every} of the snapshots, another run of its robot on every "
                 f"{part}: give --test-every, so that all are measured in the same data"
             )
+    return parts
+
+
+def check_cells(runs: Sequence[Run]) -> None:
+    """Raise ValueError if runs of one agent and robot are not those of a mean: made alike, each of its own seed."""
+    first, seeds = dict[tuple[str, str], Run](), dict[tuple[str, str, int], Run]()
+    for run in runs:
         other = first.setdefault(run.cell, run)
-        facts, others = ({"step": r.checkpoint.step} | dataclasses.asdict(r.checkpoint.config) for r in (run, other))
+        facts, others = _facts(run), _facts(other)
         for fact, here in facts.items():
             if here != others[fact]:
                 raise ValueError(
                     f"{fact} of {other.folder} is {others[fact]!r}, of {run.folder} {here!r}: a mean over both means "
                     "nothing, give them apart"
                 )
-    return parts
+        twin = seeds.setdefault((*run.cell, run.checkpoint.seed), run)
+        if twin is not run:
+            raise ValueError(
+                f"{twin.folder} and {run.folder} are both {' for '.join(run.cell)} with seed {run.checkpoint.seed}: "
+                "give each run once"
+            )
+
+
+def _facts(run: Run) -> dict[str, Any]:
+    """All that the runs of a cell have in common."""
+    data = {setting: run.settings[setting] for setting in DATA}
+    return {"step": run.checkpoint.step} | dataclasses.asdict(run.checkpoint.config) | data
 
 
 def measure(run: Run, every: int, episodes: int | None) -> PredictionErrors | None:

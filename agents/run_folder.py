@@ -41,6 +41,9 @@ from dynagen_bench.whole import whole_file
 _LENGTH: Final = ("steps", "patience")
 """What may end a run earlier or later: it may continue with others."""
 
+DATA: Final = ("every", "quality", "hold_out")
+"""Settings that choose what is trained on: a mean over runs that differ in one means nothing."""
+
 _RECORD_ONLY: Final = ("runs", "name", "evaluate_every", "checkpoint_every", "log_every", "threads")
 """Settings that change no parameter of the agent: a run may continue with others."""
 

@@ -17,7 +17,7 @@ import tyro
 
 from agents import AGENTS
 from agents.fine_tuning import PAPER, AdaptationSettings
-from agents.run_folder import RunSettings, read_curve, read_finished, read_json
+from agents.run_folder import DATA, RunSettings, read_curve, read_finished, read_json
 from dynagen_bench import ids
 from dynagen_bench.evaluation.result import EpisodeRecord, first_error
 from dynagen_bench.evaluation.submission import CurvePoint, Run, Submission, write_submission
@@ -78,7 +78,10 @@ def submit(
     # a run may be older than what has adapted it, and the later commit has both
     commit = _the_same("commit", [run.record.get("commit", run.config["commit"]) for run in found])
     for robot in {config["settings"]["robot"] for config in configs}:
-        _the_same(f"config for {robot}", [c["config"] for c in configs if c["settings"]["robot"] == robot])
+        of_robot = [config for config in configs if config["settings"]["robot"] == robot]
+        _the_same(f"config for {robot}", [config["config"] for config in of_robot])
+        for setting in DATA:
+            _the_same(f"{setting} for {robot}", [config["settings"][setting] for config in of_robot])
     _the_same("adaptation", [record.get("adaptation") for record in records])
     try:
         submission = Submission(

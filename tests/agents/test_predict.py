@@ -24,12 +24,12 @@ def trained(agent, folder, *flags, seed=0):
     return folder / f"{agent}-Hopper-seed{seed}"
 
 
-def unevaluated(agent, folder):
+def unevaluated(agent, folder, seed=0):
     """The run folder of an agent that nothing has been done with: acting takes its time, and is not needed here."""
-    config, settings, dataset = tiny_config(agent), RunSettings("Hopper", runs=folder), random_dataset()
+    config, settings, dataset = tiny_config(agent), RunSettings("Hopper", seed, runs=folder), random_dataset()
     spec = dataclasses.replace(hopper_spec(), normalization=dataset.normalization())
     run = settings.folder(agent)
-    save_checkpoint(run / "last.safetensors", Learner(agent, config, spec, seed=0).checkpoint())
+    save_checkpoint(run / "last.safetensors", Learner(agent, config, spec, seed).checkpoint())
     write_json(run / "config.json", describe(agent, config, settings, dataset))
     return run
 
@@ -99,6 +99,11 @@ def test_bad_input_is_one_line(tiny_data, tmp_path, capsys):
     first, other = trained("mlp", tmp_path), trained("mlp", tmp_path / "wide", "--hidden", "100")
     old = trained("lstm", tmp_path)
     edit_settings(old, every=4)
+    parts = []
+    for setting, value in (("every", 4), ("quality", 0.3), ("hold_out", 2)):
+        parts.append(unevaluated("dadt", tmp_path / setting, seed=1))
+        edit_settings(parts[-1], **{setting: value})
+    whole = unevaluated("dadt", tmp_path)
     (tmp_path / "empty").mkdir()
     for file in ("config.json", "last.safetensors"):
         (tmp_path / "empty" / file).write_text("{}")
@@ -108,6 +113,11 @@ def test_bad_input_is_one_line(tiny_data, tmp_path, capsys):
         ([tmp_path / "empty"], r"config.json tells no agent, config and settings: delete the run folder and train"),
         ([first, other], "hidden of .* is 200, of .* 100: a mean over both means nothing, give them apart"),
         ([first, old], "was trained on every 4 of the snapshots, another run of its robot on every 1: give --test-ev"),
+        ([whole, parts[0]], "every of .* is 1, of .* 4: a mean over both means nothing, give them apart"),
+        ([whole, parts[0], "--test-every", "4"], "every of .* is 1, of .* 4: a mean over both means nothing"),
+        ([whole, parts[1]], r"quality of .* is 1\.0, of .* 0\.3: a mean over both means nothing"),
+        ([whole, parts[2]], "hold_out of .* is 0, of .* 2: a mean over both means nothing"),
+        ([first, first], "mlp-Hopper-seed0 and .*mlp-Hopper-seed0 are both mlp for Hopper with seed 0: give each run"),
         ([first, "--episodes", "0"], "episodes is 0: give a whole number from 1 on"),
         ([first, "--test-every", "4"], "no data of Hopper-RandDyn-test0"),
     ]

@@ -60,11 +60,15 @@ def test_what_does_not_belong_together_is_refused_in_one_line(tmp_path):
     config = json.loads((unfinished / "config.json").read_text())
     config["config"]["steps"] = 9
     (unfinished / "config.json").write_text(json.dumps(config))
+    parts = [run(tmp_path, seed=3, every=4), run(tmp_path, seed=4, quality=0.3), run(tmp_path, seed=5, hold_out=1)]
     (tmp_path / "empty").mkdir()
     for runs, authors, message in (
         ([], ["A"], "no runs given"),
         ([one, other], ["A"], "agent differs between the runs"),
         ([one, longer], ["A"], "config for Hopper differs between the runs"),
+        ([one, parts[0]], ["A"], "every for Hopper differs between the runs, 1 and 4: submit them apart"),
+        ([one, parts[1]], ["A"], r"quality for Hopper differs between the runs, 1\.0 and 0\.3: submit them apart"),
+        ([one, parts[2]], ["A"], "hold_out for Hopper differs between the runs, 0 and 1: submit them apart"),
         ([unfinished], ["A"], "was evaluated at step 2 of 9: train it to the end"),
         ([tmp_path / "empty"], ["A"], "is no finished run, it has no config.json"),
         ([one, one], ["A"], "both Hopper with seed 0"),
