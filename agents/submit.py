@@ -99,7 +99,7 @@ def submit(
             hardware=hardware or f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
             hours=sum(record["hours"] for record in records),
             versions=_the_same("versions", [record["versions"] for record in records]),
-            commands=[command for run in found for command in _commands(run)],
+            commands=[command for run in found for command in _commands(run, checkpoint)],
             runs=[_run(run) for run in found],
         )
     except pydantic.ValidationError as error:
@@ -171,13 +171,15 @@ def _training_line(runs: list[FinishedRun]) -> str:
     return line + "."
 
 
-def _commands(run: FinishedRun) -> list[str]:
+def _commands(run: FinishedRun, checkpoint: str) -> list[str]:
     """The commands that make a run's result again: what differs from the defaults, and a machine's precision."""
     agent, settings = run.config["agent"], run.config["settings"]
     defaults = RunSettings(settings["robot"])
-    wanted = ("seed", "every", "quality", "hold_out", "patience")
+    wanted = ["seed", "every", "quality", "hold_out", "patience"]
+    if checkpoint == "best":  # when it looks decides which that is
+        wanted.append("evaluate_every")
     changed = _changed({key: settings[key] for key in wanted}, dataclasses.asdict(defaults))
-    if "patience" in changed:  # when it looks decides where it stops
+    if "patience" in changed:  # and where it stops
         changed["evaluate_every"] = settings["evaluate_every"]
     usual = dataclasses.asdict(AGENTS[agent][0]().for_robot(settings["robot"])) | {"precision": None}
     options = _options(changed | _changed(run.config["config"], usual))

@@ -51,6 +51,14 @@ def test_the_best_checkpoints_are_another_submission(tmp_path):
     found = read_submission(tmp_path / "best")
     best = json.loads((folder / "evaluation-best.json").read_text())
     assert (found.checkpoint, found.runs[0].gradient_steps) == ("best", best["gradient_steps"])
+    assert "--evaluate-every 1 " in found.commands[0]  # which decides what is the best
+    submit([folder], tmp_path / "last", ["A. Name"])
+    assert "--evaluate-every" not in read_submission(tmp_path / "last").commands[0]
+    config = json.loads((folder / "config.json").read_text())
+    config["settings"]["evaluate_every"] = RunSettings("Hopper").evaluate_every
+    (folder / "config.json").write_text(json.dumps(config))
+    submit([folder], tmp_path / "usual", ["A. Name"], checkpoint="best")
+    assert "--evaluate-every" not in read_submission(tmp_path / "usual").commands[0]
 
 
 def test_what_does_not_belong_together_is_refused_in_one_line(tmp_path):
