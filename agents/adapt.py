@@ -27,6 +27,7 @@ from agents.fine_tuning import (
     AdaptationSettings,
     FineTuning,
     TrainedRun,
+    check_takes_steps,
     held_out_names,
     measure_curve,
     write_curve,
@@ -143,9 +144,11 @@ def choose_steps(folder: Path, settings: AdaptationSettings, points: Sequence[in
     """Measure and print the returns after each number of steps, in held-out train dynamics; returns the CSV file.
 
     Raises:
-        FileNotFoundError, ValueError, FloatingPointError: as `adapt`; or the run held out no dynamics.
+        FileNotFoundError, ValueError, FloatingPointError: as `adapt`; or the run held out no dynamics, or its agent
+            takes no steps.
     """
     run, path = TrainedRun.read(folder), folder / "adaptation-curve.csv"
+    check_takes_steps(run)
     with locked(folder), progress_bar() as bars:
         total = max(points) * len(held_out_names(run))
         bar = bars.add_task(f"{folder.name}, curve", total=total, note="")

@@ -158,6 +158,15 @@ class FineTuning:
         return evaluate(policy, self.name.robot, self.name.split, indices=[self.name.index])
 
 
+def check_takes_steps(run: TrainedRun) -> None:
+    """Raise ValueError if a run's agent is told the dynamics by data: there is no number of steps to choose."""
+    if isinstance(run.checkpoint.build_agent(), Contextual):
+        raise ValueError(
+            f"{run.folder} is of {run.checkpoint.agent!r}, which is told the dynamics by data and takes no gradient "
+            "step there: leave out --curve"
+        )
+
+
 def held_out_names(run: TrainedRun) -> list[ids.DynamicsId]:
     """The train dynamics that a run held out; raises ValueError if it held out none."""
     count = run.config["settings"]["hold_out"]

@@ -224,6 +224,10 @@ def test_an_agent_that_is_told_dynamics_by_data_is_given_them_and_takes_no_step(
     alone = evaluate(given, "Hopper", indices=[3])
     assert np.array_equal(adapted.returns[3], alone.returns[0])
     assert not np.array_equal(adapted.returns, evaluation_of(folder / "evaluation.json").returns)
+    with pytest.raises(
+        ValueError, match="is of 'focal', which is told the dynamics by data and takes no gradient step"
+    ):
+        choose_steps(folder, FAST, points=(0, 2))
 
 
 def test_an_agent_with_parts_for_each_dynamics_gets_some_for_the_new_one_at_its_own_rate(tmp_path, tiny_data):
