@@ -20,7 +20,7 @@ from typing import Any, Final
 from agents.braces import expand
 from agents.config import TrainingConfig
 from agents.recording import run_files
-from agents.run_folder import RunSettings, check_same_run, read_config
+from agents.run_folder import RunSettings, check_same_run, ends_run, read_config, read_json
 from agents.train import parse
 from dynagen_bench.jobs import Job
 
@@ -103,7 +103,8 @@ def is_finished(one: SweepRun, runs: Path) -> bool:
     old |= {**found["settings"], **found["config"], "agent": found["agent"]}  # what is newer than it is by default
     there, here = ({k: v for k, v in facts.items() if k not in _OURS} for facts in (old, _description(one)))
     check_same_run(path.parent, there, here, instead="--runs")
-    return all((runs / output).is_file() for output in one.job.outputs)  # the result comes last
+    files = [runs / output for output in one.job.outputs]
+    return all(file.is_file() for file in files) and ends_run(read_json(files[-1]), one.config.steps)
 
 
 def _description(one: SweepRun) -> dict[str, Any]:

@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from agents import train
+from agents import predict, train
 from agents.checkpoint import load_checkpoint
+from agents.learner import Learner
 from agents.summary.runs import read_runs
 from agents.sweep import main, read_lines, sweep, train_one
-from agents.sweep_plan import plan
+from agents.sweep_plan import is_finished, plan
 from dynagen_bench.datasets import load_dataset
 from dynagen_bench.jobs import Job
 
@@ -154,6 +155,28 @@ def test_a_run_that_agents_train_has_finished_is_not_run_again(tmp_path, capsys)
         main([line.replace("--steps 20", "--steps 21"), "--runs", str(tmp_path)])
     with pytest.raises(SystemExit, match=r"is of another run, embedding is 8 there and 9 here"):
         main([line.replace("--embedding 8", "--embedding 9"), "--runs", str(tmp_path)])
+
+
+@pytest.mark.usefixtures("tiny_data")
+def test_a_predictor_that_was_measured_on_the_way_is_not_finished(tmp_path, monkeypatch):
+    line = "mlp --robot Hopper --steps 4 --context 4 --batch-size 4 --checkpoint-every 2 --log-every 1"
+    update = Learner.update
+
+    def stopped(self, sampler):
+        if self.step == 3:
+            raise KeyboardInterrupt
+        return update(self, sampler)
+
+    (one,) = plan([line])
+    with monkeypatch.context() as patch:
+        patch.setattr(Learner, "update", stopped)
+        with pytest.raises(SystemExit):
+            train.main([*line.split(), "--runs", str(tmp_path)])
+    predict.main([str(tmp_path / one.name), "--episodes", "1"])
+    assert all((tmp_path / output).is_file() for output in one.job.outputs)
+    assert not is_finished(one, tmp_path)
+    train.main([*line.split(), "--runs", str(tmp_path)])
+    assert is_finished(one, tmp_path)
 
 
 @pytest.mark.usefixtures("tiny_data")
