@@ -19,6 +19,7 @@ from agents.fine_tuning import TrainedRun
 from agents.interface import Agent, Fitted
 from agents.learner import Learner
 from agents.run_folder import write_json
+from agents.validation import set_apart
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
 from dynagen_bench.evaluation import EPISODES, Policy, RandomPolicy, evaluate
@@ -72,7 +73,8 @@ def _untrained(run: TrainedRun) -> object:
     agent = Learner(checkpoint.agent, checkpoint.config, checkpoint.spec, checkpoint.seed).agent
     if isinstance(agent, Fitted):
         data = load_dataset(settings["robot"], "train", every=settings["every"], quality=settings["quality"])
-        agent.fit(checkpoint.config.sampler(data, checkpoint.spec.normalization))
+        trained_on, _ = set_apart(data, settings["hold_out"])
+        agent.fit(checkpoint.config.sampler(trained_on, checkpoint.spec.normalization))
     return agent
 
 

@@ -37,6 +37,15 @@ def test_who_has_learned_nothing_does_what_the_untrained_do(name, tmp_path):
 
 
 @pytest.mark.usefixtures("tiny_data")
+def test_the_untrained_are_fitted_to_what_the_trained_were(tmp_path):
+    name = "trajectory_transformer"
+    plan = settings(tmp_path, evaluate_every=0, hold_out=19)
+    run = train(name, CONFIGS[name], plan, load_dataset("Hopper", "train"))
+    record = measure_learning(run, dynamics=1)
+    assert record["trained"] == record["untrained"]
+
+
+@pytest.mark.usefixtures("tiny_data")
 def test_the_numbers_are_those_of_evaluate(tmp_path, capsys):
     config = dataclasses.replace(CONFIGS["dadt"], steps=3, learning_rate=0.01)
     run = train("dadt", config, settings(tmp_path, seed=3, evaluate_every=0), load_dataset("Hopper", "train"))
