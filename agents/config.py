@@ -82,6 +82,9 @@ class TrainingConfig:
         """This config with the fields filled in that depend on the robot or on other fields; here there are none."""
         return self
 
+    def check_data(self, dataset: OfflineDataset) -> None:
+        """Raise ValueError if an agent of this config cannot be trained on these data; most can on any."""
+
     def sampler(self, dataset: OfflineDataset, normalization: Normalization) -> Sampler:
         """What draws the batches of a gradient step: windows of K steps."""
         return WindowSampler(dataset, self.context, normalization)

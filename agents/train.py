@@ -78,6 +78,7 @@ def train(
         )
     config = config.for_robot(settings.robot)
     dataset, held = set_apart(dataset, settings.hold_out)
+    config.check_data(dataset)
     folder = settings.folder(name)
     description = describe(name, config, settings, dataset) | {"command": command}
     with claimed(folder, description) as before:

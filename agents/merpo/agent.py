@@ -126,6 +126,15 @@ class MerPOConfig(TrainingConfig):
             return self
         return dataclasses.replace(self, model_steps=max(1, self.steps // 2))
 
+    def check_data(self, dataset: OfflineDataset) -> None:
+        """Raise ValueError unless the data are of as many dynamics as there are nets for."""
+        self.check_tasks(len(np.unique(dataset.episode_dynamics)))
+
+    def check_tasks(self, found: int) -> None:
+        """Raise ValueError unless data of so many dynamics are what there are nets for."""
+        if found != self.tasks:
+            raise ValueError(f"the data are of {found} dynamics, tasks is {self.tasks}: give --tasks {found}")
+
     def sampler(self, dataset: OfflineDataset, normalization: Normalization) -> Sampler:
         """Steps of all dynamics in the data."""
         return TaskSampler(dataset, normalization, len(np.unique(dataset.episode_dynamics)))
@@ -197,11 +206,7 @@ class MerPO(nn.Module):
         steps = Steps(*(torch.from_numpy(x).to(device) for x in windows[:-1]))
         if generator is None:
             return self._fit_of_meta(steps)
-        if len(steps.rewards) != self.config.tasks:
-            raise ValueError(
-                f"the data are of {len(steps.rewards)} dynamics, tasks is {self.config.tasks}: "
-                f"give --tasks {len(steps.rewards)}"
-            )
+        self.config.check_tasks(len(steps.rewards))
         losses, notes = self._model_losses(steps, generator) if self._learns_model else self._losses(steps, generator)
         if self.adapting:
             del losses["meta_policy_loss"]

@@ -11,8 +11,10 @@ from agents.interface import Agent, Following, ForTask, Phased
 from agents.learner import Learner
 from agents.merpo.agent import Imagined, MerPO, MerPOConfig
 from agents.merpo.world_model import Steps
+from agents.train import train
 from dynagen_bench.evaluation import Policy, RewardAware, evaluate
 from tests.agents.samples import A, S, flat_dataset, hopper_spec, random_dataset
+from tests.agents.test_train import settings
 
 TINY = {
     "tasks": 3, "batch_size": 8, "starts": 4, "rollout": 2, "hidden": 16, "layers": 1, "model_hidden": 16,
@@ -240,6 +242,16 @@ def test_data_that_are_not_finite_stop_it(step):
     batch.rewards[0, 0] = np.nan
     with pytest.raises(FloatingPointError, match=f"at step {step}"):
         learner.update(type("Broken", (), {"sample": lambda *_: batch})())
+
+
+def test_data_of_another_number_of_dynamics_are_refused_before_there_is_a_folder(tmp_path):
+    config = MerPOConfig(**(TINY | {"steps": 2}))
+    held_out = settings(tmp_path, evaluate_every=0, hold_out=1)
+    data = dataclasses.replace(random_dataset((9, 8, 12)), episode_dynamics=np.array([0, 1, 19]))
+    with pytest.raises(ValueError, match=r"^the data are of 2 dynamics, tasks is 3: give --tasks 2$"):
+        train("merpo", config, held_out, data)
+    assert not list(tmp_path.iterdir())
+    assert train("merpo", dataclasses.replace(config, tasks=2), held_out, data).is_dir()  # as it is told to
 
 
 def test_data_of_more_dynamics_than_nets_are_refused_and_measured():
