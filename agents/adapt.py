@@ -18,7 +18,6 @@ from typing import Annotated, Any
 import numpy as np
 import rich
 import rich.table
-import torch
 import tyro
 
 from agents.checkpoint import package_versions
@@ -34,6 +33,7 @@ from agents.fine_tuning import (
 )
 from agents.recording import progress_bar
 from agents.run_folder import git_commit, locked, read_json, write_json
+from agents.threads import use_threads
 from dynagen_bench import ids
 from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.evaluation.traces import Traces, load_traces, physics_digest, save_traces
@@ -175,8 +175,7 @@ def command(
         curve: measure instead, in the train dynamics that the run held out, what how many steps give.
         threads: processor threads for torch; 0 leaves it to torch.
     """
-    if threads > 0:
-        torch.set_num_threads(threads)
+    use_threads(threads)
     if curve:
         rich.print(f"written: {choose_steps(run, settings)}")
         return

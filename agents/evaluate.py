@@ -12,13 +12,13 @@ from typing import Annotated, Any, Final
 
 import rich
 import rich.table
-import torch
 import tyro
 
 from agents.fine_tuning import TrainedRun
 from agents.interface import Agent, Fitted
 from agents.learner import Learner
 from agents.run_folder import write_json
+from agents.threads import use_threads
 from agents.validation import set_apart
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
@@ -100,8 +100,7 @@ def _command(
     """
     if not runs:
         raise ValueError("no runs given: name at least one run folder")
-    if threads > 0:
-        torch.set_num_threads(threads)
+    use_threads(threads)
     return table([measure_learning(folder, dynamics) for folder in runs])
 
 

@@ -13,13 +13,13 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import rich
 import rich.table
-import torch
 import tyro
 
 from agents.checkpoint import Checkpoint, load_checkpoint
 from agents.interface import Predictor
 from agents.prediction import EPISODES, PredictionErrors, prediction_errors, write_prediction
 from agents.run_folder import DATA, default_settings, read_config
+from agents.threads import use_threads
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
 
@@ -63,8 +63,7 @@ def predict(
     """
     if not runs:
         raise ValueError("no runs given: name at least one run folder")
-    if threads:
-        torch.set_num_threads(threads)
+    use_threads(threads)
     found = [read_run(folder) for folder in runs]
     parts = check_comparable(found, test_every)
     measured, unchanged = dict[tuple[str, str], list[float]](), dict[str, float]()

@@ -206,7 +206,7 @@ def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
     try:
         path = tyro.cli(submit, args=arguments)
-    except (ValueError, FileNotFoundError) as error:
+    except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
     rich.print(f"written: {path}")
 

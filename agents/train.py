@@ -18,7 +18,6 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 import rich
-import torch
 import tyro
 
 from agents import TRAINABLE
@@ -39,6 +38,7 @@ from agents.run_folder import (
     same_length,
     write_json,
 )
+from agents.threads import use_threads
 from agents.validation import Validation, check_patience, has_stalled, set_apart
 from dynagen_bench.datasets import OfflineDataset, load_dataset
 from dynagen_bench.evaluation import Evaluation
@@ -231,8 +231,7 @@ def parse(arguments: Sequence[str]) -> Parsed:
 def run(parsed: Parsed, command: str, report: Callable[[int], None] = lambda step: None) -> Path:
     """Load the data and train what `parse` has read; returns the run folder. Raises what `train` does."""
     name, config, settings = parsed
-    if settings.threads:
-        torch.set_num_threads(settings.threads)
+    use_threads(settings.threads)
     dataset = load_dataset(settings.robot, "train", every=settings.every, quality=settings.quality)
     return train(name, config, settings, dataset, report=report, command=command)
 

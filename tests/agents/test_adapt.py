@@ -185,6 +185,7 @@ def at_step(run, step):
         ),
         (lambda run: None, ["--curve"], "held out no train dynamics: train one with --hold-out"),
         (lambda run: None, [], "no data of Hopper-RandDyn-test0"),
+        (lambda run: None, ["--threads", "-1"], "threads is -1: give a whole number from 0 on"),
         (lambda run: None, ["--batch-size", "0"], "batch_size is 0: give a whole number from 1"),
     ],
 )

@@ -61,3 +61,5 @@ def test_the_numbers_are_those_of_evaluate(tmp_path, capsys):
 def test_bad_input_is_one_line(tmp_path):
     with pytest.raises(SystemExit, match=r"error: .* is no finished run"):
         main([str(tmp_path)])
+    with pytest.raises(SystemExit, match=r"^error: threads is -1: give a whole number from 0 on$"):
+        main([str(tmp_path), "--threads", "-1"])

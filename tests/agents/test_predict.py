@@ -118,6 +118,7 @@ def test_bad_input_is_one_line(tiny_data, tmp_path, capsys):
         ([whole, parts[1]], r"quality of .* is 1\.0, of .* 0\.3: a mean over both means nothing"),
         ([whole, parts[2]], "hold_out of .* is 0, of .* 2: a mean over both means nothing"),
         ([first, first], "mlp-Hopper-seed0 and .*mlp-Hopper-seed0 are both mlp for Hopper with seed 0: give each run"),
+        ([first, "--threads", "-1"], "threads is -1: give a whole number from 0 on"),
         ([first, "--episodes", "0"], "episodes is 0: give a whole number from 1 on"),
         ([first, "--test-every", "4"], "no data of Hopper-RandDyn-test0"),
     ]

@@ -45,6 +45,13 @@ def test_runs_become_a_submission_that_the_leaderboard_reads(tmp_path):
     assert found.versions.keys() >= {"torch", "mujoco", "numpy", "gymnasium"}
 
 
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SystemExit, match=r"^error: .*Not a directory") as stop:
+        main([str(run(tmp_path)), "--output", str(tmp_path / "file" / "out"), "--authors", "A. Name"])
+    assert "\n" not in str(stop.value)
+
+
 def test_the_best_checkpoints_are_another_submission(tmp_path):
     folder = run(tmp_path)
     main([str(folder), "--output", str(tmp_path / "best"), "--authors", "A. Name", "--checkpoint", "best"])
