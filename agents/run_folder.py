@@ -59,7 +59,7 @@ class RunSettings:
     robot: str
     """Walker, Hopper, HalfCheetah, SlimHumanoid or Ant."""
     seed: int = 0
-    """Of everything random in the run."""
+    """Of everything random in the run; below 2**63."""
     every: int = 1
     """Train on every n-th snapshot's data alone (made by `dynagen data build ROBOT --every n`)."""
     quality: float = 1.0
@@ -87,6 +87,8 @@ class RunSettings:
         for field, low in (limits | {"hold_out": 0, "patience": 0}).items():
             if getattr(self, field) < low:
                 raise ValueError(f"{field} is {getattr(self, field)}: give a whole number from {low} on")
+        if self.seed >= 2**63:
+            raise ValueError(f"seed is {self.seed}: give a whole number below 2**63")
         if self.checkpoint_every % self.log_every:
             raise ValueError(f"checkpoint_every {self.checkpoint_every} is no multiple of log_every {self.log_every}")
         check_quality(self.quality)

@@ -281,12 +281,19 @@ def test_a_loss_that_overflows_stops_at_its_step_and_keeps_the_last_checkpoint(t
     [
         ({"robot": "hoper"}, "unknown robot 'hoper'.*did you mean 'Hopper'"),
         ({"seed": -1}, "seed is -1: give a whole number from 0 on"),
+        ({"seed": 2**63}, r"seed is 9223372036854775808: give a whole number below 2\*\*63"),
+        ({"threads": -1}, "threads is -1: give a whole number from 0 on"),
         ({"checkpoint_every": 5}, "checkpoint_every 5 is no multiple of log_every 2"),
     ],
 )
 def test_wrong_settings_are_refused_in_one_line(tmp_path, changes, message):
     with pytest.raises(ValueError, match=message):
         settings(tmp_path, **changes)
+
+
+def test_the_largest_seed_trains(tmp_path):
+    folder = train("dt", tiny_config("dt", steps=1), settings(tmp_path, seed=2**63 - 1), random_dataset())
+    assert load_checkpoint(folder / "last.safetensors").seed == 2**63 - 1
 
 
 def test_the_command_line_ends_bad_input_in_one_line(tmp_path, capsys):
