@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from agents.evaluate import LEARNED
 from agents.prediction import PREDICTION
-from agents.run_folder import read_curve, read_json, write_json
+from agents.run_folder import read_config, read_curve, read_json, write_json
 from agents.summary.runs import Run, read_runs
 from dynagen_bench.whole import whole_file
 
@@ -70,9 +70,7 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
     for run in (given.resolve() for given in runs):
         if not (run / "config.json").is_file() or not (run / "curves.csv").is_file():
             raise FileNotFoundError(f"{run} is no run, it has no config.json and curves.csv: train it first")
-        about = read_json(run / "config.json")
-        if not {"agent", "config", "settings"} <= about.keys():
-            raise ValueError(f"{run / 'config.json'} has not what `agents.train` writes there: train it again")
+        about = read_config(run)
         commit = about.get("commit")
         if not commit or commit.endswith("-dirty"):
             raise ValueError(f"{run} was made by {commit or 'no commit'}: commit the code and train it again")

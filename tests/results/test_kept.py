@@ -86,7 +86,7 @@ def test_mistakes_end_in_one_line_and_keep_nothing(trained, tmp_path):
     with pytest.raises(ValueError, match=r"the group is '\.\./out': give words in small letters"):
         keep([run], "../out", tmp_path / "kept")
     (run / "config.json").write_text("{}")
-    with pytest.raises(ValueError, match=r"config\.json has not what `agents\.train` writes there"):
+    with pytest.raises(ValueError, match=r"config\.json tells no agent, config and settings"):
         keep([run], "reference", tmp_path / "kept")
     assert not (tmp_path / "kept").exists()
 
