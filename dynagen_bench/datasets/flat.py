@@ -167,6 +167,7 @@ def load_dataset(
         ValueError: an unknown robot, split or index, a `quality` that is no share or of test data, or data that are
             damaged or of other dynamics.
         FileNotFoundError: a dataset is missing; the message has the command that makes it.
+        OSError: the disk has no room for the arrays.
     """
     names = _chosen(robot, split, indices)
     if quality is not None and split != "train":

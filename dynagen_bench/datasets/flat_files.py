@@ -5,6 +5,7 @@ from. Called by `load_dataset`. It must not know robots, splits or what is done 
 """
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
@@ -56,6 +57,7 @@ def map_arrays(label: str, sources: Sequence[Source], progress: bool) -> Arrays:
 
     Raises:
         ValueError: a dataset's episodes are not those that it records.
+        OSError: the disk has no room for them; nothing is left of them then.
     """
     folder = cache_folder() / f"flat-v{LAYOUT_VERSION}" / f"{label}-{_key(sources)}"
     if not folder.is_dir():
@@ -117,10 +119,31 @@ def _episode_arrays(episodes: int) -> Arrays:
 def _row_arrays(folder: Path, rows: int, example: Episode) -> Arrays:
     """Files of M zero rows: what is not written stays zero, as the last row of an episode wants it."""
     widths = {"observations": example.observations.shape[1:], "actions": example.actions.shape[1:]}
-    return {
-        name: open_memmap(folder / f"{name}.npy", "w+", np.float32, (rows, *widths.get(name, ())))
-        for name in ROW_ARRAYS
-    }
+    arrays: Arrays = {}
+    for name in ROW_ARRAYS:
+        file = folder / f"{name}.npy"
+        arrays[name] = open_memmap(file, "w+", np.float32, (rows, *widths.get(name, ())))
+        _reserve(file)
+    return arrays
+
+
+def _reserve(file: Path) -> None:
+    """Take the disk space of a file: a new memory map has none yet, and writing to it on a full disk kills the process.
+
+    Raises:
+        OSError: there is not enough.
+    """
+    size = file.stat().st_size
+    try:
+        with file.open("r+b") as opened:
+            os.posix_fallocate(opened.fileno(), 0, size)
+    except OSError as error:
+        if error.errno in (errno.EINVAL, errno.EOPNOTSUPP):
+            return  # this file system reserves nothing
+        raise OSError(
+            f"no room for {size / 1e6:.0f} MB in {cache_folder()} ({error.strerror}): make some there, or let "
+            "DYNAGEN_CACHE name a folder that has more"
+        ) from error
 
 
 def _checked_episodes(sources: Sequence[Source], title: str, progress: bool) -> Iterator[tuple[Source, Episode]]:

@@ -1,6 +1,7 @@
 """Flat arrays: they hold the Minari episodes, are made once, and are never of other data than asked for."""
 
 import dataclasses
+import errno
 import os
 import shutil
 import subprocess
@@ -141,6 +142,30 @@ def test_damaged_data_are_refused_and_leave_no_arrays(own_data):
     with pytest.raises(ValueError, match="test3-v0 is damaged: its episodes are not those it records"):
         load_dataset("Hopper", "test")
     assert folders() == before
+
+
+def test_a_full_disk_ends_in_one_line_and_leaves_nothing(own_data, monkeypatch):
+    own_data()
+
+    def full(file, offset, length):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.posix_fallocate", full)
+        with pytest.raises(OSError, match=r"^no room for 0 MB in .*cache \(No space left on device\): make"):
+            load_dataset("Hopper", "test")
+    assert not [path for path in cache_folder().rglob("*") if path.suffix != ".lock" and path.name != "flat-v1"]
+    assert len(load_dataset("Hopper", "test").rewards)
+
+
+def test_arrays_are_made_where_no_space_can_be_reserved(own_data, monkeypatch):
+    own_data()
+
+    def unsupported(file, offset, length):
+        raise OSError(errno.EOPNOTSUPP, "Operation not supported")
+
+    monkeypatch.setattr("os.posix_fallocate", unsupported)
+    assert len(load_dataset("Hopper", "test").rewards)
 
 
 def test_data_of_another_mujoco_are_said_to_be(own_data, monkeypatch):
