@@ -12,7 +12,7 @@ Each episode has `seed` (Minari's own field), `snapshot`, `policy_sha256` and `d
 
 import dataclasses
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,9 @@ class DatasetRecord:
         episodes: number of episodes.
         steps: number of actions.
         returns: `min`, `max` and `mean` of the episodes' returns.
+
+    Raises:
+        ValueError: the recipe or the returns lack something, or there are no episodes or steps.
     """
 
     recipe: Mapping[str, Any]
@@ -41,10 +44,26 @@ class DatasetRecord:
     steps: int
     returns: Mapping[str, float]
 
+    def __post_init__(self) -> None:
+        for field, wanted in (
+            ("recipe", ("dynamics", "every", "mujoco", "policies")),
+            ("returns", ("min", "mean", "max")),
+        ):
+            if missing := [key for key in wanted if key not in getattr(self, field)]:
+                raise ValueError(f"its {field} lack {', '.join(missing)}")
+        if not all(isinstance(number, int) and number > 0 for number in (self.episodes, self.steps)):
+            raise ValueError(f"it counts {self.episodes!r} episodes and {self.steps!r} steps")
+
     @property
     def mujoco(self) -> str:
         """The version of MuJoCo that the episodes ran on."""
         return str(self.recipe["mujoco"])
+
+    def is_of(self, episodes: Sequence[Episode]) -> bool:
+        """Whether these are the episodes that it tells of: their content, numbers and returns."""
+        found = (content_hash(episodes), len(episodes), sum(map(len, episodes)))
+        returns = [episode.total_reward for episode in episodes]
+        return found == (self.sha256, self.episodes, self.steps) and dict(self.returns) == returns_summary(returns)
 
 
 def dataset_folder(dataset_id: str) -> Path:
@@ -65,6 +84,11 @@ def content_hash(episodes: Iterable[Episode]) -> str:
     for episode in episodes:
         add_to_hash(digest, episode)
     return digest.hexdigest()
+
+
+def returns_summary(returns: Sequence[float]) -> dict[str, float]:
+    """`min`, `max` and `mean` of episodes' returns, as a record has them."""
+    return {"min": min(returns), "max": max(returns), "mean": float(np.mean(returns))}
 
 
 def read_record(folder: Path) -> DatasetRecord:

@@ -24,10 +24,10 @@ from dynagen_bench import ids
 from dynagen_bench.collection.contents import (
     DatasetRecord,
     add_to_hash,
-    content_hash,
     dataset_folder,
     read_episodes,
     read_record,
+    returns_summary,
 )
 from dynagen_bench.collection.episodes import EPISODES_PER_SNAPSHOT, SEED, Episode, collect_episodes
 from dynagen_bench.collection.policies import POLICY_FOLDER, BehaviourPolicy, load_policies, policy_file
@@ -66,7 +66,7 @@ def build_dataset(
 ) -> DatasetRecord:
     """Make the Minari dataset of one dynamics, `name.part_id(every)`, or keep the one there is.
 
-    One is kept if its episodes have the hash it records, and that is the expected one; where none is expected, its
+    One is kept if its episodes are those it records, and their hash is the expected one; where none is expected, its
     recipe must be today's. A build killed at any moment leaves what was there before; the next one begins that dataset
     again.
 
@@ -141,8 +141,8 @@ def _intact_record(folder: Path, recipe: Mapping[str, Any], expected_sha256: str
         right = record.recipe == recipe if expected_sha256 is None else record.sha256 == expected_sha256
         if not right:
             return None
-        return record if content_hash(read_episodes(folder)) == record.sha256 else None
-    except (OSError, ValueError, KeyError):
+        return record if record.is_of(list(read_episodes(folder))) else None
+    except Exception:  # a changed byte makes h5py, numpy or Minari fail in any way they can
         return None  # not there, or damaged: whatever is wrong with it, it is made again
 
 
@@ -187,8 +187,7 @@ def _write(
             returns.append(episode.total_reward)
 
     low, high = reference or (min(returns), max(returns))
-    summary = {"min": min(returns), "max": max(returns), "mean": float(np.mean(returns))}
-    record = DatasetRecord(recipe, digest.hexdigest(), len(lengths), sum(lengths), summary)
+    record = DatasetRecord(recipe, digest.hexdigest(), len(lengths), sum(lengths), returns_summary(returns))
     storage.update_metadata({"dynagen": dataclasses.asdict(record), "ref_min_score": low, "ref_max_score": high})
     return record
 

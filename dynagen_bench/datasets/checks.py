@@ -19,7 +19,13 @@ import numpy as np
 from minari.dataset.minari_storage import MinariStorage
 
 from dynagen_bench import ids
-from dynagen_bench.collection.contents import DatasetRecord, content_hash, read_episodes, read_record
+from dynagen_bench.collection.contents import (
+    DatasetRecord,
+    content_hash,
+    read_episodes,
+    read_record,
+    returns_summary,
+)
 from dynagen_bench.collection.episodes import Episode
 from dynagen_bench.datasets.manifest import ManifestEntry, check_official
 
@@ -114,8 +120,7 @@ def _content_problem(folder: Path, name: ids.DynamicsId, record: DatasetRecord) 
     if found != record.sha256:
         return f"its episodes have sha256 {found[:12]}, not {record.sha256[:12]}, which it records"
     returns = [episode.total_reward for episode in episodes]
-    summary = {"min": min(returns), "max": max(returns), "mean": float(np.mean(returns))}
-    if (dict(record.returns), record.steps) != (summary, sum(map(len, episodes))):
+    if (dict(record.returns), record.steps) != (returns_summary(returns), sum(map(len, episodes))):
         return "its returns or number of steps are not those that it records"
     return _episode_problem(folder, name, record, episodes)
 

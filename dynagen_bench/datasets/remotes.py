@@ -113,7 +113,7 @@ class Remote:
         """
         try:
             return DatasetRecord(**self._metadata(dataset_id)["dynagen"])
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{dataset_id} at {self.address} is no dataset of this benchmark ({error!r})") from error
 
     def size(self, dataset_id: str) -> int:

@@ -1,5 +1,6 @@
 """One dynamics' Minari dataset: what it holds, that it can be made again, and what is kept of what is there."""
 
+import functools
 import json
 import os
 import subprocess
@@ -159,11 +160,50 @@ def lose_an_episode():
         del file["episode_3"]
 
 
-@pytest.mark.parametrize("damage", [damage_a_number, damage_the_file, lose_the_metadata, lose_an_episode])
+def change_one_byte(old, new):
+    file = dataset_folder(ID) / "data" / "main_data.hdf5"
+    content = file.read_bytes()
+    assert old in content
+    file.write_bytes(content.replace(old, new, 1))
+
+
+def damage_a_name():
+    change_one_byte(b"\x00total_steps", b"\x00tot\xfel_steps")
+    with pytest.raises(TypeError):
+        list(read_episodes(dataset_folder(ID)))
+
+
+def damage_a_size():
+    change_one_byte(b"\x08\x00total_steps", b"\x08\xfftotal_steps")
+    with pytest.raises(RuntimeError):
+        list(read_episodes(dataset_folder(ID)))
+
+
+def change_the_record(**changes):
+    file = dataset_folder(ID) / "data" / "metadata.json"
+    metadata = json.loads(file.read_text())
+    file.write_text(json.dumps({**metadata, "dynagen": {**metadata["dynagen"], **changes}}))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        damage_a_number,
+        damage_the_file,
+        damage_a_name,
+        damage_a_size,
+        lose_the_metadata,
+        lose_an_episode,
+        functools.partial(change_the_record, steps=12),
+        functools.partial(change_the_record, episodes=7),
+        functools.partial(change_the_record, returns={"min": 0, "mean": 0, "max": 0}),
+        functools.partial(change_the_record, recipe={}),
+    ],
+)
 def test_a_damaged_dataset_is_made_again(build, damage):
     first = build()
     damage()
-    assert build() == first
+    assert build(expected_sha256=first.sha256) == first
     assert content_hash(read_episodes(dataset_folder(ID))) == first.sha256
     assert list(minari.list_local_datasets()) == [ID]
 
@@ -219,6 +259,24 @@ def test_no_dataset_and_no_dataset_of_ours(tmp_path):
     (tmp_path / "data" / "metadata.json").write_text(json.dumps({"dataset_id": "else/where-v0"}))
     with pytest.raises(ValueError, match="holds no dataset of this benchmark"):
         read_record(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"recipe": {}}, "its recipe lack dynamics, every, mujoco, policies"),
+        ({"returns": {"min": 1.0}}, "its returns lack mean, max"),
+        ({"steps": "many"}, "it counts 8 episodes and 'many' steps"),
+        ({"recipe": None}, "NoneType"),
+    ],
+)
+def test_a_record_that_lacks_something_is_none_of_ours(build, changes, message):
+    build()
+    change_the_record(**changes)
+    with pytest.raises(
+        ValueError, match=f"holds no dataset of this benchmark .*{message}.*: remove it and build again"
+    ):
+        read_record(dataset_folder(ID))
 
 
 def test_minaris_command_lists_and_shows_it(build):
