@@ -20,7 +20,7 @@ import rich.progress
 from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
-from dynagen_bench.collection.contents import DatasetRecord, add_to_hash, read_episodes
+from dynagen_bench.collection.contents import DatasetRecord, read_episodes
 from dynagen_bench.collection.episodes import Episode
 from dynagen_bench.whole import exclusively, whole_folder
 
@@ -48,7 +48,7 @@ def cache_folder() -> Path:
 
 
 def map_arrays(label: str, sources: Sequence[Source], progress: bool) -> Arrays:
-    """The arrays of `OfflineDataset` by name, made first if they are not there.
+    """The arrays of `OfflineDataset` by name, made first if they are not all there.
 
     Args:
         label: how the folder's name begins, for a reader of the cache.
@@ -56,17 +56,32 @@ def map_arrays(label: str, sources: Sequence[Source], progress: bool) -> Arrays:
         progress: show a progress bar on the error stream while arrays are made.
 
     Raises:
-        ValueError: a dataset's episodes are not those that it records.
+        ValueError: a dataset is damaged: its episodes cannot be read, or are not those that it records.
         OSError: the disk has no room for them; nothing is left of them then.
     """
     folder = cache_folder() / f"flat-v{LAYOUT_VERSION}" / f"{label}-{_key(sources)}"
-    if not folder.is_dir():
-        with exclusively(folder):
-            if not folder.is_dir():  # another process may have made it while this one waited
-                with whole_folder(folder) as unfinished:
-                    _write_arrays(unfinished, label, sources, progress)
+    if (arrays := _kept_arrays(folder)) is not None:
+        return arrays
+    with exclusively(folder):
+        if (arrays := _kept_arrays(folder)) is not None:
+            return arrays  # another process made them while this one waited
+        with whole_folder(folder) as unfinished:
+            _write_arrays(unfinished, label, sources, progress)
+        return _load_arrays(folder)
+
+
+def _kept_arrays(folder: Path) -> Arrays | None:
+    """The arrays of a folder in the cache, or None if they have to be made: it may have been emptied in part."""
+    try:
+        return _load_arrays(folder)
+    except Exception:  # a file that was cut or changed makes numpy fail in any way it can
+        return None
+
+
+def _load_arrays(folder: Path) -> Arrays:
     return {
-        file.stem: np.load(file, mmap_mode="r" if file.stem in ROW_ARRAYS else None) for file in folder.glob("*.npy")
+        name: np.load(folder / f"{name}.npy", mmap_mode="r" if name in ROW_ARRAYS else None)
+        for name in (*ROW_ARRAYS, *_episode_arrays(0))
     }
 
 
@@ -74,7 +89,10 @@ def _key(sources: Sequence[Source]) -> str:
     """What arrays are made from, as one word: other content, or a file changed in its place, gives another word."""
     parts = []
     for source in sources:
-        file = (source.folder / "data" / "main_data.hdf5").stat()
+        try:
+            file = (source.folder / "data" / "main_data.hdf5").stat()
+        except FileNotFoundError:
+            raise _damaged(source, "it has no main_data.hdf5") from None
         parts.append([source.dynamics, source.record.sha256, file.st_size, file.st_mtime_ns])
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
 
@@ -147,19 +165,27 @@ def _reserve(file: Path) -> None:
 
 
 def _checked_episodes(sources: Sequence[Source], title: str, progress: bool) -> Iterator[tuple[Source, Episode]]:
-    """All episodes in order; at the end of each dataset its content is compared with its record."""
+    """All episodes in order; those of a dataset come when all of them have been compared with its record."""
     with _bar(title, sum(source.record.episodes for source in sources), progress) as bar:
         for source in sources:
-            digest = hashlib.sha256()
-            for episode in read_episodes(source.folder):
-                add_to_hash(digest, episode)
+            for episode in _recorded_episodes(source):
                 yield source, episode
                 bar.advance(bar.task_ids[0])
-            if digest.hexdigest() != source.record.sha256:
-                raise ValueError(
-                    f"{source.folder} is damaged: its episodes are not those it records; build it again with `dynagen "
-                    "data build`"
-                )
+
+
+def _recorded_episodes(source: Source) -> list[Episode]:
+    try:
+        episodes = list(read_episodes(source.folder))
+        right = source.record.is_of(episodes)
+    except Exception as error:  # a changed byte makes h5py, numpy or Minari fail in any way they can
+        raise _damaged(source, f"its episodes cannot be read, {type(error).__name__}") from error
+    if not right:
+        raise _damaged(source, "its episodes are not those it records")
+    return episodes
+
+
+def _damaged(source: Source, reason: str) -> ValueError:
+    return ValueError(f"{source.folder} is damaged: {reason}; build it again with `dynagen data build`")
 
 
 @contextlib.contextmanager

@@ -2,6 +2,8 @@
 
 import dataclasses
 import errno
+import functools
+import json
 import os
 import shutil
 import subprocess
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 
 from dynagen_bench import ids
+from dynagen_bench.collection.contents import dataset_folder
 from dynagen_bench.collection.minari_files import build_dataset
 from dynagen_bench.datasets import OfflineDataset, load_dataset
 from dynagen_bench.datasets.flat_files import cache_folder
@@ -132,16 +135,88 @@ def test_a_part_is_loaded_by_its_own_name(own_data):
         load_dataset("Hopper", "test")
 
 
-def test_damaged_data_are_refused_and_leave_no_arrays(own_data):
+def data_file(name, file="main_data.hdf5"):
+    return dataset_folder(name.dataset_id) / "data" / file
+
+
+def change_a_number(file):
+    with h5py.File(file, "a") as opened:
+        opened["episode_2/actions"][0, 0] += 2.0**-12
+
+
+def lose_an_episode(file):
+    with h5py.File(file, "a") as opened:
+        del opened["episode_2"]
+
+
+def lose_an_array(file):
+    with h5py.File(file, "a") as opened:
+        del opened["episode_2/rewards"]
+
+
+def lose_a_row(file):
+    with h5py.File(file, "a") as opened:
+        rewards = opened["episode_2/rewards"][:-1]
+        del opened["episode_2/rewards"]
+        opened["episode_2/rewards"] = rewards
+
+
+def cut(file):
+    file.write_bytes(file.read_bytes()[:-2000])
+
+
+def record_other_numbers(file, **numbers):
+    metadata = json.loads(file.with_name("metadata.json").read_text())
+    metadata["dynagen"].update(numbers)
+    file.with_name("metadata.json").write_text(json.dumps(metadata))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (change_a_number, "its episodes are not those it records"),
+        (lose_an_episode, "its episodes cannot be read, KeyError"),
+        (lose_an_array, "its episodes cannot be read, KeyError"),
+        (lose_a_row, "its episodes are not those it records"),
+        (cut, "its episodes cannot be read, OSError"),
+        (os.unlink, "it has no main_data.hdf5"),
+        (functools.partial(record_other_numbers, steps=3), "its episodes are not those it records"),
+        (functools.partial(record_other_numbers, episodes=900), "its episodes are not those it records"),
+    ],
+)
+def test_damaged_data_are_refused_and_leave_no_arrays(own_data, damage, message):
     own_data()
     load_dataset("Hopper", "test")
-    path = minari.load_dataset(NAMES[3].dataset_id).spec.data_path
-    with h5py.File(f"{path}/main_data.hdf5", "a") as file:
-        file["episode_2/actions"][0, 0] += 2.0**-12
     before = folders()
-    with pytest.raises(ValueError, match="test3-v0 is damaged: its episodes are not those it records"):
+    damage(data_file(NAMES[3]))
+    shutil.rmtree(before[0])  # a record that alone has changed does not make arrays again
+    with pytest.raises(ValueError, match=rf"test3-v0 is damaged: {message}; build it again with `dynagen data build`$"):
         load_dataset("Hopper", "test")
-    assert folders() == before
+    assert folders() == []
+    own_data()
+    assert len(load_dataset("Hopper", "test").rewards)
+
+
+def test_a_record_without_its_recipe_is_refused(own_data):
+    own_data()
+    record_other_numbers(data_file(NAMES[3]), recipe={})
+    with pytest.raises(ValueError, match=r"test3-v0 holds no dataset of this benchmark .*its recipe lack dynamics"):
+        load_dataset("Hopper", "test")
+
+
+@pytest.mark.parametrize("name", ["observations", "rewards", "episode_starts"])
+@pytest.mark.parametrize("left", [None, 0, -1])
+def test_a_cache_that_is_emptied_in_part_is_made_again(own_data, name, left):
+    own_data()
+    rewards = np.array(load_dataset("Hopper", "test").rewards)
+    file = folders()[0] / f"{name}.npy"
+    if left is None:
+        file.unlink()
+    else:
+        file.write_bytes(file.read_bytes()[:left])
+    for _ in range(2):
+        np.testing.assert_array_equal(load_dataset("Hopper", "test").rewards, rewards)
+    assert len(folders()) == 1
 
 
 def test_a_full_disk_ends_in_one_line_and_leaves_nothing(own_data, monkeypatch):

@@ -1,12 +1,14 @@
 """Histograms of returns, and what is said where there are no data."""
 
 import re
+import shutil
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from dynagen_bench.collection.contents import dataset_folder
 from dynagen_bench.pictures.returns import BINS, HEIGHT, _range, distributions, load_returns
 from tests.tiny_data import three_step_episodes
 
@@ -24,6 +26,14 @@ def test_data_that_are_not_here_are_missing():
     found = distributions(load_returns("Ant"))
     assert found.rows == []
     assert found.missing == ["train", "test"]
+
+
+def test_damaged_data_are_not_taken_for_missing_ones(tiny_data, tmp_path, monkeypatch):
+    shutil.copytree(tiny_data, tmp_path / "minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    (dataset_folder("dynagen/Hopper-RandDyn/test3-v0") / "data" / "main_data.hdf5").unlink()
+    with pytest.raises(ValueError, match=r"test3-v0 is damaged: it has no main_data\.hdf5"):
+        load_returns("Hopper")
 
 
 def test_a_histogram_by_hand():
