@@ -192,7 +192,8 @@ def data_build(
         robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
         every: take every n-th snapshot alone: a part of the data, under dataset ids of its own.
         write_manifest: for maintainers: write these hashes and reference scores as the official ones.
-        folder: where the stored policies are.
+        folder: where the stored policies are. Data of others than the package's own are not official, and take the
+            place of those that are: let MINARI_DATASETS_PATH name a folder for them.
     """
     commands.build(robots, every=every, write_manifest=write_manifest, policies_folder=folder)
 

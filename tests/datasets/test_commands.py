@@ -13,11 +13,11 @@ import minari
 import pytest
 
 from dynagen_bench import ids
-from dynagen_bench.collection.contents import content_hash, dataset_folder, read_episodes
+from dynagen_bench.collection.contents import content_hash, dataset_folder, read_episodes, read_record
 from dynagen_bench.datasets.commands import build, list_datasets, verify
 from dynagen_bench.datasets.manifest import ManifestEntry, add_to_manifest, read_manifest
 from dynagen_bench.datasets.scores import reference_scores
-from tests.tiny_data import EPISODES_PER_SNAPSHOT
+from tests.tiny_data import EPISODES_PER_SNAPSHOT, store_random_policies
 
 HOPPERS = list(ids.dynamics_ids("Hopper"))
 BUILD = """
@@ -103,6 +103,21 @@ def test_data_that_are_not_official_end_in_one_line(rebuild, tmp_path, tiny_reco
     add_to_manifest({"dynagen/Hopper-RandDyn/train0-v0": ManifestEntry("0" * 64, 1, 2, "3.3.7")}, tmp_path)
     with pytest.raises(ValueError, match=r"install mujoco==3.3.7 and build again \(it was built with 4.0.0\)"):
         rebuild(records=tmp_path)
+
+
+def test_policies_of_ones_own_are_built_whatever_the_official_data_are(rebuild, tiny_records, tmp_path, capsys):
+    rebuild()
+    store_random_policies(tmp_path, HOPPERS, seed=1)
+    for _ in range(2):  # and kept
+        capsys.readouterr()
+        build(["Hopper"], policies_folder=tmp_path, episodes_per_snapshot=EPISODES_PER_SNAPSHOT)
+        shown = capsys.readouterr()
+        assert (shown.out.count("differs"), shown.out.count("official")) == (25, 0)
+        assert f"made from the policies in {tmp_path}, and not held against the manifest" in shown.err
+        official = read_manifest(tiny_records)
+        found = {name: read_record(dataset_folder(name)).sha256 for name in minari.list_local_datasets()}
+        assert len(found) == 25
+        assert all(sha256 != official[name].sha256 for name, sha256 in found.items())
 
 
 def test_without_policies_nothing_is_built(rebuild, tmp_path):
