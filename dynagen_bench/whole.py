@@ -7,7 +7,7 @@ Beside a folder `name` there may be, hidden so that no listing of datasets sees 
 
     .name.lock        held (flock) by the process that makes or checks it; the kernel lets go when that process dies
     .name.unfinished  what is being written; thrown away by whoever makes the folder next
-    .name.replaced    the one before, for a moment
+    .name.replaced    the one before, for a moment; put back by whoever makes the folder next if `name` is not there
 """
 
 import contextlib
@@ -37,7 +37,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def exclusively(folder: Path) -> Iterator[None]:
-    """Be the only process that makes or checks `folder`; waits until no other one does."""
+    """Be the only process that makes or checks `folder` (or a file); waits until no other one does."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with (folder.parent / f".{folder.name}.lock").open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -51,15 +51,23 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     The caller holds `exclusively(folder)`. After an error nothing is left, and `folder` is what it was.
     """
     unfinished, replaced = (folder.with_name(f".{folder.name}.{state}") for state in ("unfinished", "replaced"))
+    _put_back(replaced, folder)
     for leftover in (unfinished, replaced):
         shutil.rmtree(leftover, ignore_errors=True)
     unfinished.mkdir(parents=True)
     try:
         yield unfinished
+        if folder.exists():
+            os.replace(folder, replaced)
+        os.replace(unfinished, folder)
     except BaseException:
+        _put_back(replaced, folder)
         shutil.rmtree(unfinished, ignore_errors=True)
         raise
-    if folder.exists():
-        os.replace(folder, replaced)
-    os.replace(unfinished, folder)
     shutil.rmtree(replaced, ignore_errors=True)
+
+
+def _put_back(replaced: Path, folder: Path) -> None:
+    """Undo the first of the two renames where the second one has not been: else nothing would be there."""
+    if replaced.exists() and not folder.exists():
+        os.replace(replaced, folder)

@@ -1,5 +1,6 @@
 """A file or folder appears whole or not at all."""
 
+import os
 import threading
 
 import pytest
@@ -42,6 +43,35 @@ def test_the_new_folder_replaces_the_old_one_and_what_a_killed_process_left(tmp_
         (unfinished / "new").touch()
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
     assert [path.name for path in folder.iterdir()] == ["new"]
+
+
+def test_the_old_folder_comes_back_when_its_maker_died_between_the_two_renames(tmp_path):
+    folder = tmp_path / "data"
+    for leftover in (".data.replaced", ".data.unfinished"):
+        (tmp_path / leftover).mkdir()
+    (tmp_path / ".data.replaced" / "old").touch()
+    with pytest.raises(KeyboardInterrupt):
+        begin_and_stop(folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+    assert [path.name for path in folder.iterdir()] == ["old"]
+
+
+def test_the_old_folder_comes_back_when_the_new_one_cannot_have_its_name(tmp_path, monkeypatch):
+    folder = tmp_path / "data"
+    folder.mkdir()
+    (folder / "old").touch()
+    replace = os.replace
+
+    def failing(source, target):
+        if source.name == ".data.unfinished":
+            raise OSError("no rename")
+        replace(source, target)
+
+    monkeypatch.setattr("os.replace", failing)
+    with pytest.raises(OSError, match="no rename"), whole_folder(folder) as unfinished:
+        (unfinished / "new").touch()
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+    assert [path.name for path in folder.iterdir()] == ["old"]
 
 
 def test_only_one_makes_a_folder_at_a_time(tmp_path):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dynagen_bench.collection.contents import DatasetRecord
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import exclusively, whole_file
 
 RECORDS: Final = Path(__file__).parent
 """The folder of `manifest.json` and `reference_scores.json`, committed in the package."""
@@ -94,6 +94,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 def update_json(path: Path, entries: Mapping[str, Any]) -> None:
     """Put entries into a JSON object in a file, sorted by key: the file is the old one or the new one at any moment."""
-    text = json.dumps(dict(sorted({**_read(path), **entries}.items())), indent=1) + "\n"
-    with whole_file(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
+    with exclusively(path):  # what another process adds meanwhile would be lost
+        text = json.dumps(dict(sorted({**_read(path), **entries}.items())), indent=1) + "\n"
+        with whole_file(path) as unfinished:
+            unfinished.write_text(text, encoding="utf-8")

@@ -1,5 +1,7 @@
 """The manifest file."""
 
+import threading
+
 import pytest
 
 from dynagen_bench.datasets.manifest import ManifestEntry, add_to_manifest, manifest_file, read_manifest
@@ -15,7 +17,20 @@ def test_entries_are_added_sorted_and_the_others_stay(tmp_path):
     add_to_manifest({"c": changed}, tmp_path)
     assert read_manifest(tmp_path) == {"a": ENTRY, "b": ENTRY, "c": changed}
     assert list(read_manifest(tmp_path)) == ["a", "b", "c"]
-    assert [path.name for path in tmp_path.iterdir()] == ["manifest.json"]
+    assert [path.name for path in tmp_path.glob("[!.]*")] == ["manifest.json"]
+
+
+def test_entries_that_several_add_at_once_are_all_kept(tmp_path):
+    def add(who):
+        for number in range(10):
+            add_to_manifest({f"{who}-{number}": ENTRY}, tmp_path)
+
+    threads = [threading.Thread(target=add, args=(who,)) for who in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(read_manifest(tmp_path)) == 60
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"a": {"sha256": "x"}}', '{"a": 3}'])
