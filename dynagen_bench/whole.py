@@ -23,8 +23,14 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Yield a place beside `path` to write to; when the block ends well, it becomes `path`.
 
     After an error (a full disk) nothing is left, and `path` is what it was. A kill leaves `name.PID.unfinished` behind,
-    which nothing reads.
+    which nothing reads. A link stays one: the file that it names is replaced.
+
+    Raises:
+        ValueError: there is something at `path` that is no file, a folder or a device; it is left alone.
     """
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{path} is no file and cannot be written as one: give the path of a new file or an old one")
+    path = path.resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f"{path.name}.{os.getpid()}.unfinished")
     try:

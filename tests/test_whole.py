@@ -104,3 +104,27 @@ def test_a_file_is_the_old_one_until_the_new_one_is_whole(tmp_path):
     assert path.read_text() == "first"
     assert list(path.parent.iterdir()) == [path]
     assert path.stat().st_mode & 0o777 == 0o644
+
+
+def test_what_is_no_file_is_not_replaced_by_one(tmp_path):
+    os.mkfifo(tmp_path / "pipe")  # as /dev/null, which only root could replace
+    (tmp_path / "link").symlink_to(tmp_path / "pipe")
+    for path in (tmp_path, tmp_path / "pipe", tmp_path / "link"):
+        with pytest.raises(
+            ValueError, match=f"^{path} is no file and cannot be written as one: give the path of a new"
+        ):
+            write_half(path)
+    assert (tmp_path / "pipe").is_fifo()
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_the_file_that_a_link_names_is_written(tmp_path, there):
+    target, link = tmp_path / "target", tmp_path / "elsewhere" / "link"
+    link.parent.mkdir()
+    link.symlink_to(target)
+    if there:
+        target.touch()
+    with whole_file(link) as unfinished:
+        unfinished.write_text("new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
