@@ -5,6 +5,7 @@ Nothing calls it. It must not compute anything itself.
 """
 
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -68,6 +69,8 @@ def dynamics_draw(robot: Robot, seed: int, count: int = 1) -> None:
         count: how many.
     """
     ids.check_robot(robot)
+    if count < 1 or seed < 0:
+        raise ValueError(f"count is {count} and seed {seed}: give at least 1, and a seed from 0 on")
     for sequence in np.random.SeedSequence(seed).spawn(count):
         sys.stdout.write(json.dumps(draw_dynamics(robot, np.random.default_rng(sequence)).to_json()) + "\n")
 
@@ -302,7 +305,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; a mistake of the user's ends in one line on stderr and exit code 2."""
+    """Run the command; a mistake of the user's ends in one line on stderr and exit code 2, Ctrl-C in one and 130."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     word = given[0] if given else ""
     group = {name.removeprefix(f"{word} "): run for name, run in COMMANDS.items() if name.startswith(f"{word} ")}
@@ -313,9 +316,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
             description="DynaGen Bench: bodies, data and scores of offline dynamics generalization.",
             args=given[1:] if group else given,
         )
-    except (ValueError, FileNotFoundError, RuntimeError) as error:
+        sys.stdout.flush()  # here, where a reader that has gone is expected
+    except BrokenPipeError:  # `| head` has read enough; the rest goes nowhere, also at Python's own last flush
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except (ValueError, OSError, RuntimeError) as error:
         sys.stderr.write(f"dynagen: {error}\n")
         sys.exit(2)
+    except KeyboardInterrupt:
+        sys.stderr.write("dynagen: stopped: give the same command again to continue\n")
+        sys.exit(130)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,9 @@
 """The `dynagen` command: what it prints, and how it answers a mistake."""
 
 import json
+import os
+import subprocess
+import sys
 
 import gymnasium
 import pytest
@@ -46,6 +49,12 @@ def test_draw_prints_what_gymnasium_takes(capsys):
         (("collect", "Hopper", "test"), "train0 to train19"),
         (("data", "build", "Hoper"), "did you mean 'Hopper'"),
         (("data", "verify", "Hopper", "--every", "7"), "dynagen data build Hopper --every 7"),
+        (("data", "verify"), "no robot is given"),
+        (("dynamics", "draw", "Hopper", "--seed", "1", "--count", "-1"), "count is -1 and seed 1: give at least 1"),
+        (("dynamics", "draw", "Hopper", "--seed", "-1"), "count is 1 and seed -1"),
+        (("page", "Hopper", "--output", f"{__file__}/page.md"), "File exists"),
+        (("page", "Hopper", "--output", f"{__file__}/deep/page.md"), "Not a directory"),
+        (("page", "Hopper", "--output", "/"), "/ is no file and cannot be written as one"),
     ],
 )
 def test_a_mistake_ends_in_one_line(capsys, words, message):
@@ -56,6 +65,28 @@ def test_a_mistake_ends_in_one_line(capsys, words, message):
     assert len(said) == 1
     assert said[0].startswith("dynagen: ")
     assert message in said[0]
+
+
+def test_a_stopped_command_ends_in_one_line(capsys, monkeypatch):
+    def stopped() -> None:
+        """Be stopped by Ctrl-C."""
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(COMMANDS, "data list", stopped)
+    with pytest.raises(SystemExit) as ended:
+        main(["data", "list"])
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "dynagen: stopped: give the same command again to continue\n"
+
+
+@pytest.mark.parametrize("count", [1, 200])
+def test_a_reader_that_goes_away_is_no_mistake(count):
+    read, write = os.pipe()
+    os.close(read)
+    words = ["dynamics", "draw", "Hopper", "--seed", "1", "--count", str(count)]
+    with open(write, "w") as gone:
+        ended = subprocess.run([sys.executable, "-m", "dynagen_bench.cli", *words], stdout=gone, stderr=subprocess.PIPE)
+    assert (ended.returncode, ended.stderr) == (1, b"")
 
 
 @pytest.mark.parametrize("command", COMMANDS)

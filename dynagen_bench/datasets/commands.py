@@ -55,9 +55,9 @@ def build(
 
     Raises:
         FileNotFoundError: a robot has no stored policies.
-        ValueError: an unknown robot, or a dataset is not the official one.
+        ValueError: an unknown robot or none, or a dataset is not the official one.
     """
-    names = [name for robot in robots for name in ids.dynamics_ids(robot)]
+    names = _chosen(robots, ())
     for name in names:  # before the first of them is built
         load_policies(policy_file(name, policies_folder))
     foreign = records == RECORDS and policies_folder.resolve() != POLICY_FOLDER.resolve()
@@ -108,7 +108,8 @@ def verify(robots: Sequence[str], *, every: int = 1, records: Path = RECORDS) ->
 
     Raises:
         FileNotFoundError: a dataset is missing.
-        ValueError: some datasets are damaged, not official or of another MuJoCo; the message names each and says why.
+        ValueError: no robot is given, or some datasets are damaged, not official or of another MuJoCo; the message
+            names each and says why.
     """
     names = _chosen(robots, ())
     if missing := [name for name in names if not dataset_folder(name.part_id(every)).is_dir()]:
@@ -249,7 +250,9 @@ def _publishable(
 
 
 def _chosen(robots: Sequence[str], labels: Sequence[str]) -> list[ids.DynamicsId]:
-    """Some dynamics of each robot; no label means all that have data."""
+    """Some dynamics of each robot; no label means all that have data, but no robot is a mistake."""
+    if not robots:
+        raise ValueError(f"no robot is given: name one or more of {', '.join(ids.ROBOTS)}")
     names = [
         name
         for robot in robots

@@ -31,6 +31,12 @@ LARGEST: Final = 2048
 """Allowed width and height of a frame, pixels."""
 
 
+def check_pixels(what: str, pixels: int) -> None:
+    """Raise ValueError if frames cannot be that many pixels wide or high; `what` is what the user calls the number."""
+    if not SMALLEST <= pixels <= LARGEST or pixels % 2:
+        raise ValueError(f"{what} is {pixels} pixels: give an even number from {SMALLEST} to {LARGEST}")
+
+
 def open_robot(name: ids.DynamicsId, width: int, height: int) -> gymnasium.Env[NDArray[np.float64], Any]:
     """Gymnasium's environment of one dynamics, rendering to arrays (height, width, 3) uint8 from the side.
 
@@ -38,9 +44,8 @@ def open_robot(name: ids.DynamicsId, width: int, height: int) -> gymnasium.Env[N
         ValueError: a size that cannot be drawn, or MUJOCO_GL names no backend.
         RuntimeError: no GL backend draws here.
     """
-    for what, pixels in (("width", width), ("height", height)):
-        if not SMALLEST <= pixels <= LARGEST or pixels % 2:
-            raise ValueError(f"{what} is {pixels} pixels: give an even number from {SMALLEST} to {LARGEST}")
+    check_pixels("width", width)
+    check_pixels("height", height)
     choose_backend()
     env = gymnasium.make(
         ids.v0_env_id(name.robot),

@@ -21,7 +21,7 @@ from dynagen_bench.dynamics import compile_nominal, load_dynamics
 from dynagen_bench.envs import HORIZON, ROBOT_CLASSES, BatchPhysics
 from dynagen_bench.pictures.actors import best_snapshot, smooth_actions, stored_snapshots
 from dynagen_bench.pictures.bars import track
-from dynagen_bench.pictures.frames import INK, frame_of, open_robot
+from dynagen_bench.pictures.frames import INK, check_pixels, frame_of, open_robot
 from dynagen_bench.whole import whole_file
 
 LABELS: Final = ("nominal", "test0", "test1", "test2", "test3", "test4")
@@ -161,6 +161,7 @@ def write_strip(
     formats = {".png": "PNG", ".webp": "WEBP", ".jpg": "JPEG"}
     if output.suffix not in formats:
         raise ValueError(f"cannot write {output.name!r}: let its name end in {', '.join(formats)}")
+    check_pixels("size", size)  # before a picture of many of them is allocated
     strip = make_strip(robot, labels, steps, folder)
     margin, head, pitch = size // 3, size // 6, size + 2
     picture = Image.new("RGB", (margin + pitch * len(labels), head + pitch * len(steps)), "white")

@@ -171,6 +171,12 @@ def test_verify_without_data():
         verify(["Hopper"])
 
 
+@pytest.mark.parametrize("command", [build, verify])
+def test_no_robot_is_refused(command):
+    with pytest.raises(ValueError, match=r"^no robot is given: name one or more of Walker, Hopper"):
+        command([])
+
+
 def test_list_of_nothing(capsys):
     list_datasets()
     assert "dynagen data build" in capsys.readouterr().out

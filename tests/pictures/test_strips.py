@@ -50,3 +50,6 @@ def test_mistakes_are_refused(tmp_path):
         make_strip("Hopper", LABELS, (0, 201), tmp_path)
     with pytest.raises(ValueError, match=r"let its name end in .png, .webp, .jpg"):
         write_strip("Hopper", tmp_path / "a.bmp")
+    for size in (-2, 31, 2050, 10**9):
+        with pytest.raises(ValueError, match=f"^size is {size} pixels: give an even number from 32 to 2048$"):
+            write_strip("Hopper", tmp_path / "a.png", size=size, folder=tmp_path)

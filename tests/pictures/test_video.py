@@ -57,6 +57,7 @@ def test_another_ones_policy_acts_in_the_nominal_body_twice(tmp_path, tiny_polic
         ({"name": "a.avi"}, "let its name end in .mp4 or .gif"),
         ({"episodes": 0}, "episodes is 0"),
         ({"speed": 0.0}, "speed 0"),
+        ({"seed": -1, "policy": "zero"}, "seed is -1: give a whole number from 0 on"),
         ({"width": 63}, "an even number from 32 to 2048"),
         ({"label": "test9"}, "from 0 to 4"),
         ({"policy_of": "best"}, "train0 to train19"),
