@@ -47,6 +47,7 @@ def test_draw_prints_what_gymnasium_takes(capsys):
         (("dynamics", "show", "Hopper", "test9"), "whole number from 0 to 4"),
         (("dynamics", "draw", "Bopper", "--seed", "1"), "choose one of Walker, Hopper"),
         (("collect", "Hopper", "test"), "train0 to train19"),
+        (("collect", "Hopper", "--change", "total_steps=1000"), "total_steps 1000: give none that is larger"),
         (("data", "build", "Hoper"), "did you mean 'Hopper'"),
         (("data", "verify", "Hopper", "--every", "7"), "dynagen data build Hopper --every 7"),
         (("data", "verify"), "no robot is given"),

@@ -38,10 +38,12 @@ def collect(
         ray: None runs them here; "local" or the address of a cluster runs them on Ray.
 
     Raises:
-        ValueError: `processes` makes no sense.
+        ValueError: `processes` makes no sense, or one of `names` is of a nominal robot.
         RuntimeError: the [collect] extra is not installed, or some runs failed; then the message names them, and the
             others have finished.
     """
+    if any(name.split == "nominal" for name in names):
+        raise ValueError("no data are made in the nominal robots: write train0 to train19, test0 to test4")
     todo = missing_runs(names, folder)
     if not todo:
         return

@@ -1,8 +1,9 @@
 """What a SAC run is trained with. Read by the run, the command line and the data's metadata."""
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Final, get_type_hints
 
 import pydantic
 
@@ -11,7 +12,11 @@ from dynagen_bench import ids
 
 @dataclasses.dataclass(frozen=True)
 class SACSettings:
-    """What a run is trained with; the same for all dynamics of a robot."""
+    """What a run is trained with; the same for all dynamics of a robot.
+
+    Raises:
+        ValueError: a number that no run can be trained with, or whose snapshots would not be those it says.
+    """
 
     total_steps: int = 1_000_000
     """Environment steps (DESIGN: the paper's own number is not given)."""
@@ -36,6 +41,20 @@ class SACSettings:
     """Random steps before the first update."""
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        for name, value in dataclasses.asdict(self).items():
+            may_be_zero = name in ("learning_starts", "critic_layer_norm", "seed")
+            if not 0 <= value < math.inf or (value == 0 and not may_be_zero):
+                raise ValueError(f"{name} is {value!r}: give a number {'from 0 on' if may_be_zero else 'above 0'}")
+        if self.gamma > 1:
+            raise ValueError(f"gamma is {self.gamma!r}: give a number above 0, at most 1")
+        if not self.environments <= self.snapshot_every <= self.total_steps:
+            # they step together: one step of all must not pass two snapshots, and a run stores at least one
+            raise ValueError(
+                f"environments is {self.environments}, snapshot_every {self.snapshot_every} and total_steps "
+                f"{self.total_steps}: give none that is larger than the next"
+            )
+
 
 _NEARER: Final = SACSettings(gradient_steps=64, learning_rate=1e-3, gamma=0.98)
 """One update a step, and looks less far ahead, which helps where the robot falls seldom or never, and harms Walker."""
@@ -54,16 +73,16 @@ def changed_settings(robot: str, changes: Sequence[str]) -> SACSettings:
     """The settings of a robot with changes such as `learning_rate=1e-3`.
 
     Raises:
-        ValueError: an unknown robot or setting, or a value of another type.
+        ValueError: an unknown robot or setting, a value of another type, or numbers that make no run.
     """
     settings = dataclasses.asdict(SETTINGS[ids.check_robot(robot)])
+    types = get_type_hints(SACSettings)
     for change in changes:
         name, _, value = change.partition("=")
         if name not in settings:
             raise ValueError(f"unknown setting {name!r}: choose from {', '.join(settings)}")
         try:
-            # pydantic reads text as the field's type
-            settings = dataclasses.asdict(pydantic.TypeAdapter(SACSettings).validate_python(settings | {name: value}))
+            settings[name] = pydantic.TypeAdapter(types[name]).validate_python(value)  # reads text as the field's type
         except pydantic.ValidationError:
             raise ValueError(f"{name} is {value!r}: give a value like {settings[name]!r}") from None
     return SACSettings(**settings)

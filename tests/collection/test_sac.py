@@ -143,6 +143,12 @@ def test_without_the_extra_one_line_says_what_to_install(tmp_path, monkeypatch):
         collect([NAME], TINY, tmp_path)
 
 
+def test_no_policies_are_trained_in_a_nominal_robot(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda module: None)  # nothing is trained if this is not refused
+    with pytest.raises(ValueError, match=r"^no data are made in the nominal robots: write train0 to train19"):
+        collect([NAME, ids.make_id("Hopper", "nominal", 0)], TINY, tmp_path)
+
+
 def test_another_file_is_refused(tmp_path):
     import safetensors.numpy
 
