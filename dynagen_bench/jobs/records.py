@@ -56,12 +56,15 @@ class JobFiles:
         return outputs is not None and not self.scratch.exists() and self._in_place(outputs)
 
     def recorded_outputs(self) -> dict[str, dict[str, Any]] | None:
-        """Output → its `bytes` and `sha256`, or None where there is no record that can be read."""
+        """Output → its `bytes` and `sha256`, or None where there is no record of all outputs that can be read."""
         try:
-            outputs: dict[str, dict[str, Any]] = json.loads(self.record.read_text(encoding="utf-8"))["outputs"]
+            outputs = json.loads(self.record.read_text(encoding="utf-8"))["outputs"]
+            return {
+                output: {"bytes": int(outputs[output]["bytes"]), "sha256": str(outputs[output]["sha256"])}
+                for output in self._job.outputs
+            }
         except (FileNotFoundError, ValueError, KeyError, TypeError):
             return None
-        return outputs
 
     def settle(self) -> bool:
         """Move what is recorded and not moved yet; returns whether the job is done."""

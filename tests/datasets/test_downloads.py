@@ -90,7 +90,7 @@ def test_damaged_data_there_are_refused(remote, publish, download, damage, here)
     ):
         download()
     assert visible_files() == before
-    assert not list(dataset_folder("dynagen").rglob("*.hdf5.download"))
+    assert not list(dataset_folder("dynagen").rglob(".*.download"))
 
     remote.put(BIG, whole)
     download()

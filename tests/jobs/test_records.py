@@ -78,10 +78,22 @@ def test_an_old_record_does_not_make_half_an_attempt_done(files, tmp_path):
     assert not files.settle()
 
 
-@pytest.mark.parametrize("damage", ["", "{", "[]", '{"outputs": 3'])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "",
+        "{",
+        "[]",
+        '{"outputs": 3}',
+        '{"outputs": {}}',
+        '{"outputs": {"one.txt": {}, "deep/two.txt": {}}}',
+        '{"outputs": {"one.txt": {"bytes": 1, "sha256": "0"}}}',
+    ],
+)
 def test_a_record_that_cannot_be_read_is_none(files, damage):
     files.finish({})
     files.record.write_text(damage)
+    assert files.recorded_outputs() is None
     assert not files.done()
     assert not files.settle()
 
