@@ -5,6 +5,7 @@ know how an actor chooses or how a frame is drawn.
 """
 
 import contextlib
+import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -151,5 +152,7 @@ def _open_video(path: Path, suffix: str, rate: float, size: tuple[int, int]) -> 
         return
     frames: list[Image.Image] = []
     yield lambda frame: frames.append(Image.fromarray(frame))
-    milliseconds = max(20, 10 * round(100 / rate))  # a gif counts in hundredths
-    frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=milliseconds, loop=0)
+    # a gif counts in hundredths: each frame ends at the one nearest to its moment, so that the rounding does not add up
+    ends = [round(100 * (i + 1) / rate) for i in range(len(frames))]
+    durations = [10 * (end - start) for start, end in itertools.pairwise([0, *ends])]  # ms
+    frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)

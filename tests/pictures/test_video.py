@@ -3,6 +3,7 @@
 import imageio.v3 as imageio
 import numpy as np
 import pytest
+from PIL import Image, ImageSequence
 
 from dynagen_bench.pictures import render_video
 
@@ -25,6 +26,18 @@ def test_an_mp4_has_the_frames_that_its_speed_asks_for(tmp_path):
     assert less.returns == video.returns
     assert len(faster) == less.frames == (video.frames + 1) // 2
     assert [path.name for path in sorted(tmp_path.iterdir())] == ["a.mp4", "b.mp4"]
+
+
+@pytest.mark.usefixtures("gl")
+@pytest.mark.parametrize(("robot", "speed"), [("SlimHumanoid", 1.0), ("Hopper", 0.3)])
+def test_a_gif_lasts_as_long_as_it_is_said_to(tmp_path, robot, speed):
+    video = render_video(robot, "test3", tmp_path / "a.gif", policy="random", width=64, height=48, speed=speed)
+    with Image.open(tmp_path / "a.gif") as gif:
+        durations = [frame.info["duration"] for frame in ImageSequence.Iterator(gif)]
+    assert len(durations) == video.frames > 10
+    assert sum(durations) == pytest.approx(1000 * video.frames / video.frame_rate, abs=5)
+    assert max(durations) - min(durations) == 10
+    assert min(durations) >= 20  # what is shorter, browsers slow down
 
 
 @pytest.mark.usefixtures("gl")
