@@ -151,6 +151,8 @@ def _reserve(file: Path) -> None:
     Raises:
         OSError: there is not enough.
     """
+    if not hasattr(os, "posix_fallocate"):  # macOS
+        return
     size = file.stat().st_size
     try:
         with file.open("r+b") as opened:
