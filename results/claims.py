@@ -79,7 +79,7 @@ def claims(entries: Sequence[Entry], errors: Sequence[Errors], groups: Mapping[s
         errors: next-state errors of kept runs.
         groups: kept runs; of `next-state-weight` and `low-quality`.
     """
-    scores = {entry.slug: task_scores(entry.submission) for entry in entries if entry.replayed}
+    scores = replayed_scores(entries)
     zero = {name: scores.get(f"{slug}-zero-shot-last") for name, slug in SLUGS.items()}
     adapted = {name: scores.get(f"{slug}-adaptation-last") for name, slug in SLUGS.items()}
     low = final_scores(groups.get("low-quality", ()), "agent")
@@ -137,6 +137,11 @@ PREDICTORS: Final = {"dt_plus": "DT+", "dadt": "DADT", "mlp": "MLP", "lstm": "LS
 """What predicts next states → its name in the paper."""
 
 _BASELINES: Final = ("FOCAL", "MerPO", "Trajectory Transformer")
+
+
+def replayed_scores(entries: Sequence[Entry]) -> dict[str, Scores]:
+    """Name on the board → scores, of the entries that were replayed: others are no evidence."""
+    return {entry.slug: task_scores(entry.submission) for entry in entries if entry.replayed}
 
 
 def final_scores(runs: Sequence[Run], fact: str) -> dict[str, Scores]:

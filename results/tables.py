@@ -16,9 +16,9 @@ from dynagen_bench.markdown import table
 from leaderboard.entries import Entry
 from leaderboard.markdown import escape, iqm_text, score_text
 from leaderboard.published import PUBLISHED, PUBLISHED_ERRORS, PUBLISHED_WEIGHTS, Score
-from leaderboard.standings import TRACKS, Row, standings, task_scores
+from leaderboard.standings import TRACKS, Row, standings
 from leaderboard.statistics import Scores
-from results.claims import PREDICTORS, SLUGS, Claim, Evidence
+from results.claims import PREDICTORS, SLUGS, Claim, Evidence, replayed_scores
 from results.kept import Errors
 
 PAPER_STEPS: Final = 1_000_000
@@ -73,15 +73,13 @@ def errors(found: Sequence[Errors]) -> str:
 
 def low_quality(low: Mapping[str, Scores], entries: Sequence[Entry]) -> str:
     """Scores of agents trained on low-quality data, by robot, and on all data under them (the paper's Figure 5)."""
-    whole = {name: task_scores(entry.submission) for name, entry in _entries(entries).items()}
+    replayed = replayed_scores(entries)
     lines = []
     for agent, own in low.items():
         lines.append([escape(agent), *_final_texts(own)])
-        slug = f"{agent.replace('_', '-')}-zero-shot-last"
-        if slug in whole:
-            lines.append(
-                ["on all data", *_final_texts({robot: whole[slug][robot] for robot in own if robot in whole[slug]})]
-            )
+        whole = replayed.get(f"{agent.replace('_', '-')}-zero-shot-last")
+        if whole is not None:
+            lines.append(["on all data", *_final_texts({robot: whole[robot] for robot in own if robot in whole})])
     return table(["", *ids.ROBOTS], lines)
 
 
@@ -182,11 +180,6 @@ def compute(times: Mapping[str, float], published: str) -> str:
     """Seconds of each agent, and beside DADT's."""
     lines = [[name, f"{value:.3f}", f"{value / times['dadt']:.2f}"] for name, value in times.items()]
     return table(["agent", published, "beside DADT's"], lines)
-
-
-def _entries(entries: Sequence[Entry]) -> dict[str, Entry]:
-    """What was replayed, by its name on the board."""
-    return {entry.slug: entry for entry in entries if entry.replayed}
 
 
 def _final_texts(found: Scores) -> list[str]:
