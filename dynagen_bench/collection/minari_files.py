@@ -49,9 +49,10 @@ def every_nth(snapshots: Mapping[int, BehaviourPolicy], every: int) -> dict[int,
     Raises:
         ValueError: `every` is not a whole number from 1 to the number of snapshots.
     """
-    if isinstance(every, bool) or not isinstance(every, int) or not 1 <= every <= len(snapshots):
+    step = ids.whole_number(every)
+    if step is None or not 1 <= step <= len(snapshots):
         raise ValueError(f"every is {every!r}: give a whole number from 1 to {len(snapshots)}, the number of snapshots")
-    return dict(list(snapshots.items())[every - 1 :: every])
+    return dict(list(snapshots.items())[step - 1 :: step])
 
 
 def build_dataset(
@@ -111,7 +112,7 @@ def _recipe(
     return {
         "dynamics": name.env_id,
         "dynamics_sha256": hashlib.sha256(factors.encode()).hexdigest(),
-        "every": every,
+        "every": int(every),
         "policies": {str(snapshot): policy.content_hash() for snapshot, policy in snapshots.items()},
         "episodes_per_snapshot": episodes_per_snapshot,
         "seed": SEED,

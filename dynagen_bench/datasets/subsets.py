@@ -9,6 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dynagen_bench.ids import whole_number
+
 ADAPTATION_EPISODES: Final = 10
 """Size of the adaptation set of one test dynamics. The paper takes "a fixed number of samples" of each (section 4), and
 does not say how many."""
@@ -53,7 +55,8 @@ def spread_episodes(returns: NDArray[np.floating[Any]], count: int) -> NDArray[n
     Raises:
         ValueError: `count` is no such number.
     """
-    if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= len(returns):
+    groups = whole_number(count)
+    if groups is None or not 1 <= groups <= len(returns):
         raise ValueError(f"episodes is {count!r}: give a whole number from 1 to {len(returns)}, all there are")
-    ranks = (2 * np.arange(count) + 1) * len(returns) // (2 * count)
+    ranks = (2 * np.arange(groups) + 1) * len(returns) // (2 * groups)
     return np.sort(np.argsort(returns, kind="stable")[ranks])

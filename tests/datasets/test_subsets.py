@@ -41,6 +41,7 @@ def test_spread_episodes_by_hand():
     returns = np.array([50.0, 10.0, 40.0, 0.0, 30.0, 20.0])  # ranks 5, 1, 4, 0, 3, 2
     assert spread_episodes(returns, 1).tolist() == [4]  # rank 3
     assert spread_episodes(returns, 2).tolist() == [1, 2]  # ranks 1 and 4
+    assert spread_episodes(returns, np.int64(2)).tolist() == [1, 2]
     assert spread_episodes(returns, 3).tolist() == [0, 1, 4]  # ranks 1, 3 and 5
     assert spread_episodes(np.arange(1000.0), 10).tolist() == list(range(50, 1000, 100))
 
