@@ -24,6 +24,7 @@ _TRAINING_RANGES: Final[dict[str, tuple[float, float]]] = {
     "batch_size": (1, 1_000_000),
     "steps": (1, 1_000_000_000),
     "warmup_steps": (0, 1_000_000_000),
+    "decay_steps": (0, 1_000_000_000),
     "learning_rate": (0.0, 1.0),
     "beta1": (0.0, 0.999999),
     "beta2": (0.0, 0.999999),
@@ -63,9 +64,11 @@ class TrainingConfig:
     steps: int = 1_000_000
     """Gradient steps of a run."""
     learning_rate: float = 3e-5
-    """After the warm-up, constant."""
+    """After the warm-up."""
     warmup_steps: int = 10_000
-    """Steps over which the learning rate grows linearly from 0."""
+    """First steps, over which the learning rate grows linearly from 0."""
+    decay_steps: int = 0
+    """Last steps, over which the learning rate falls linearly to 0; 0 keeps it constant, as the paper does."""
     beta1: float = 0.9
     """First momentum of AdamW."""
     beta2: float = 0.99
@@ -77,6 +80,8 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, _TRAINING_RANGES)
+        if self.decay_steps > self.steps:
+            raise ValueError(f"decay_steps is {self.decay_steps}: give at most all {self.steps} steps")
 
     def for_robot(self, robot: str) -> Self:
         """This config with the fields filled in that depend on the robot or on other fields; here there are none."""
@@ -90,8 +95,14 @@ class TrainingConfig:
         return WindowSampler(dataset, self.context, normalization)
 
     def learning_rate_at(self, step: int) -> float:
-        """Learning rate of the update number `step`, counted from 0 (kzl/decision-transformer, gym/experiment.py)."""
-        return self.learning_rate * min((step + 1) / max(self.warmup_steps, 1), 1.0)
+        """Learning rate of the update number `step`, counted from 0.
+
+        The warm-up is that of kzl/decision-transformer (gym/experiment.py). A fall at the end of a rate that was
+        constant before is what Hägele et al. (2024) find as good as a cosine.
+        """
+        grown = (step + 1) / max(self.warmup_steps, 1)
+        left = (self.steps - step) / self.decay_steps if self.decay_steps else 1.0
+        return self.learning_rate * min(grown, left, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)

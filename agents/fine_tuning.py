@@ -127,7 +127,7 @@ class FineTuning:
         agent = checkpoint.build_agent()
         settings = settings.for_agent(agent, checkpoint.config)
         config = dataclasses.replace(
-            checkpoint.config, warmup_steps=0, **{field: getattr(settings, field) for field in PAPER}
+            checkpoint.config, warmup_steps=0, decay_steps=0, **{field: getattr(settings, field) for field in PAPER}
         )
         key = (checkpoint.seed, settings.seed, tuple(ids.SPLIT_SIZES).index(name.split), name.index)
         seed = int(np.random.SeedSequence(key).generate_state(1)[0])

@@ -18,7 +18,7 @@ import tyro
 from agents.checkpoint import Checkpoint, load_checkpoint
 from agents.interface import Predictor
 from agents.prediction import EPISODES, PredictionErrors, prediction_errors, write_prediction
-from agents.run_folder import DATA, default_settings, read_config
+from agents.run_folder import DATA, read_config
 from agents.threads import use_threads
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
@@ -88,7 +88,7 @@ def read_run(folder: Path) -> Run:
     for file in ("config.json", "last.safetensors"):
         if not (folder / file).is_file():
             raise FileNotFoundError(f"{folder} is no run, it has no {file}: give a folder that training made")
-    settings = default_settings() | read_config(folder)["settings"]
+    settings = read_config(folder)["settings"]
     return Run(folder, load_checkpoint(folder / "last.safetensors"), settings)
 
 

@@ -34,6 +34,7 @@ from typing import Any, Final
 
 from torch.utils.tensorboard.writer import SummaryWriter
 
+from agents.config import TrainingConfig
 from dynagen_bench import ids
 from dynagen_bench.datasets.subsets import check_quality
 from dynagen_bench.whole import whole_file
@@ -127,7 +128,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def read_config(folder: Path) -> dict[str, Any]:
-    """A run's config.json as it stands: a run that is older than a setting does not tell it.
+    """A run's config.json; what it does not tell, being older than a setting or field of every config, has its default.
 
     Raises:
         ValueError: one line, it is not what training writes.
@@ -139,7 +140,15 @@ def read_config(folder: Path) -> dict[str, Any]:
         raise ValueError(f"{path} tells no agent, config and settings: delete the run folder and train again")
     if not isinstance(about["settings"].get("robot"), str) or not isinstance(about["settings"].get("seed"), int):
         raise ValueError(f"{path} tells no robot and seed: delete the run folder and train again")
+    about["settings"] = _defaults(RunSettings) | about["settings"]
+    about["config"] = _defaults(TrainingConfig) | about["config"]
     return about
+
+
+def _defaults(kind: type[RunSettings | TrainingConfig]) -> dict[str, Any]:
+    """Of the fields that config.json tells of a new run."""
+    fields = dataclasses.fields(kind)
+    return {x.name: x.default for x in fields if x.default is not dataclasses.MISSING and x.name != "runs"}
 
 
 @contextlib.contextmanager
@@ -193,7 +202,6 @@ def read_finished(folder: Path, agents: Collection[str]) -> tuple[dict[str, Any]
         if file == "config.json" and (agent := read_config(folder)["agent"]) not in agents:
             raise ValueError(f"{folder} is of {agent!r}, which does not act: give a run of {', '.join(agents)}")
     config, record = read_config(folder), read_json(folder / "evaluation.json")
-    config["settings"] = default_settings() | config["settings"]
     found, wanted = record["gradient_steps"], config["config"]["steps"]
     if not ends_run(record, wanted):
         raise ValueError(f"{folder} was evaluated at step {found} of {wanted}: train it to the end first")
@@ -211,12 +219,6 @@ def same_length(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     return all(first[key] == second[key] for key in _LENGTH)
 
 
-def default_settings() -> dict[str, Any]:
-    """Of a run that is older than a setting, which it then has by default."""
-    fields = dataclasses.fields(RunSettings)
-    return {field.name: field.default for field in fields if field.default is not dataclasses.MISSING}
-
-
 def check_same_run(folder: Path, there: Mapping[str, Any], here: Mapping[str, Any], instead: str) -> None:
     """Raise ValueError if facts of a folder's run differ from those wanted; `instead` is the option for another one."""
     for key in sorted(there.keys() | here.keys()):
@@ -228,12 +230,15 @@ def check_same_run(folder: Path, there: Mapping[str, Any], here: Mapping[str, An
 
 
 def _identity(description: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in _facts(description).items() if key not in (*_RECORD_ONLY, *_LENGTH)}
+    """What tells runs apart; the number of steps is a part of it where the learning rate falls towards the last."""
+    facts = _facts(description)
+    length = {"patience"} if facts.get("decay_steps") else set(_LENGTH)
+    return {key: value for key, value in facts.items() if key not in {*_RECORD_ONLY, *length}}
 
 
 def _facts(description: Mapping[str, Any]) -> dict[str, Any]:
     """All that a description tells of what is trained, flat."""
-    parts = {**default_settings(), "agent": description["agent"]}
+    parts = {"agent": description["agent"]}
     for group in ("config", "settings", "data"):
         parts |= description.get(group, {})
     return parts

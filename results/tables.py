@@ -115,6 +115,8 @@ def training(runs: Sequence[Run]) -> str:
         rate = f"{config['learning_rate']:g}"
         if config.get("warmup_steps"):
             rate += f" after {config['warmup_steps']:,} steps of warm-up"
+        if config.get("decay_steps"):
+            rate += f", falling to 0 in the last {config['decay_steps']:,}"
         mean = sum(hours) / len(hours)
         took = [f"{60 * mean:.1f} min", f"{WATTS * mean:.2f} Wh"]
         commit = f"`{first.about['commit'][:7]}`"

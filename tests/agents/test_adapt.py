@@ -63,8 +63,8 @@ def test_fine_tuning_is_training_from_the_checkpoint_with_its_own_values(name):
         fine_tuned(start, tuning=dataclasses.replace(FAST, weight_decay=1.0)),
     ):
         assert different(other, tuned)
-    # neither the run's learning rate nor its warm-up counts, which would make these steps nothing
-    slow = dataclasses.replace(start.config, learning_rate=0.0, warmup_steps=10**6, weight_decay=0.5)
+    # neither the run's learning rate nor its schedule counts, which would make these steps nothing
+    slow = dataclasses.replace(start.config, learning_rate=0.0, warmup_steps=10**6, decay_steps=1, weight_decay=0.5)
     assert not different(fine_tuned(dataclasses.replace(start, config=slow)), tuned)
 
 

@@ -48,6 +48,13 @@ def test_learning_rate_grows_linearly_then_stays(name):
     assert dataclasses.replace(config, warmup_steps=0).learning_rate_at(0) == 1.0
 
 
+def test_learning_rate_falls_linearly_over_the_last_steps_where_that_is_asked_for(name):
+    config = AGENTS[name][0](learning_rate=1.0, steps=8, warmup_steps=2, decay_steps=4)
+    assert [config.learning_rate_at(step) for step in range(8)] == [0.5, 1.0, 1.0, 1.0, 1.0, 0.75, 0.5, 0.25]
+    with pytest.raises(ValueError, match="decay_steps is 9: give at most all 8 steps"):
+        dataclasses.replace(config, decay_steps=9)
+
+
 def test_precision_is_what_the_machine_does_fast_unless_it_is_given(name):
     assert AGENTS[name][0]().precision == fast_precision()
     assert AGENTS[name][0](precision="float32").dtype == torch.float32

@@ -101,6 +101,27 @@ def test_more_steps_continue_a_finished_run_and_fewer_are_refused(tmp_path):
     assert contents(folder) == before
 
 
+def test_a_run_whose_learning_rate_falls_towards_its_end_has_no_other_end(tmp_path):
+    falling = tiny_config("dt", steps=6, decay_steps=3)
+    folder = train("dt", falling, settings(tmp_path), random_dataset())
+    before = contents(folder)
+    with pytest.raises(ValueError, match="is of another run, steps is 6 there and 12 here: give another --name"):
+        train("dt", dataclasses.replace(falling, steps=12), settings(tmp_path), random_dataset())
+    assert contents(folder) == before
+
+
+def test_a_run_that_is_older_than_a_field_has_its_default(tmp_path):
+    folder = train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset())
+    about = json.loads((folder / "config.json").read_text())
+    del about["config"]["decay_steps"], about["settings"]["patience"]
+    write_json(folder / "config.json", about)
+    train("dt", tiny_config("dt", steps=4), settings(tmp_path), random_dataset())
+    assert json.loads((folder / "evaluation.json").read_text())["gradient_steps"] == 4
+    write_json(folder / "config.json", about)
+    with pytest.raises(ValueError, match="another run, decay_steps is 0 there and 2 here"):
+        train("dt", tiny_config("dt", steps=4, decay_steps=2), settings(tmp_path), random_dataset())
+
+
 def contents(folder):
     return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 

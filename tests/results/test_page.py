@@ -7,10 +7,12 @@ import pytest
 
 import results.__main__ as command
 from agents.summary.intervals import Estimate
+from agents.summary.runs import read_runs
 from leaderboard.board import submit
 from results.figures import error_bars, learning_curves
 from results.kept import keep
 from results.page import PAGE, pages
+from results.tables import training
 from tests.evaluation.samples import traced
 
 
@@ -64,6 +66,11 @@ def test_the_page_has_every_part(made):
     assert "| 300.0 | 310.2 |" in page
     assert "| dadt | Hopper | 1 | 200 | 2 | 305 | 25 | 10.5 |" in page
     assert "0.001 after 500 steps of warm-up" in page
+
+
+def test_a_schedule_of_the_learning_rate_is_told(trained):
+    folder = trained("dt", decay_steps=100)
+    assert "| 0.001 after 500 steps of warm-up, falling to 0 in the last 100 |" in training(read_runs(folder.parent))
 
 
 def test_low_quality_data_and_weights_stand_beside_what_they_are_compared_with(made):
