@@ -168,14 +168,23 @@ def learning(records: Sequence[Mapping[str, Any]]) -> str:
     return table(["agent", "robot", "runs", "gradient steps", "train dynamics", *COMPARED], lines)
 
 
-def adaptation(curves: Mapping[str, Mapping[int, float]]) -> str:
-    """Returns in held-out train dynamics by steps of fine-tuning."""
+def mean_curves(runs: Sequence[Run], name: str) -> dict[str, dict[int, float]]:
+    """Label of a group → steps → the mean over its runs of one of their curves."""
+    found = {}
+    for group in grouped(runs):
+        if curves := group.curves(name):
+            found[group.label] = {step: statistics.fmean(curve[step] for curve in curves) for step in curves[0]}
+    return found
+
+
+def by_steps(curves: Mapping[str, Mapping[int, float]], form: str = ".1f") -> str:
+    """Curves, a line each, a column for each number of steps that one of them has."""
     steps = sorted({step for curve in curves.values() for step in curve})
     lines = [
-        [f"`{name}`", *(f"{curve[step]:.1f}" if step in curve else "–" for step in steps)]
+        [escape(name), *(f"{curve[step]:{form}}" if step in curve else "–" for step in steps)]
         for name, curve in curves.items()
     ]
-    return table(["run", *(f"{step:,}" for step in steps)], lines)
+    return table(["steps", *(f"{step:,}" for step in steps)], lines)
 
 
 def compute(times: Mapping[str, float], published: str) -> str:

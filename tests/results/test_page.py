@@ -64,6 +64,8 @@ def test_the_page_has_every_part(made):
     assert "| dadt | 2.000 | 1.00 |" in page  # 200 steps of 0.01 s
     assert "| dadt | 0.100 | 28 | 694 | 28 |" in page  # a million steps of 0.1 s are 27.8 hours
     assert "| 300.0 | 310.2 |" in page
+    assert "| dadt | 300.0 | 320.0 |" in page  # return by gradient steps
+    assert "| dadt | 0.5000 | 0.2500 |" in page
     assert "| dadt | Hopper | 1 | 200 | 2 | 305 | 25 | 10.5 |" in page
     assert "0.001 after 500 steps of warm-up" in page
 
