@@ -3,6 +3,8 @@
 Importing it registers the environments. These are the public names; the rest may change between versions.
 """
 
+import importlib.metadata
+
 from dynagen_bench.datasets import (
     Normalization,
     OfflineDataset,
@@ -33,6 +35,10 @@ __all__ = [
     "Evaluation",
     "Policy",
     "evaluate",
+    # the package
+    "__version__",
 ]
+
+__version__ = importlib.metadata.version("dynagen-bench")
 
 register_environments()

@@ -16,7 +16,7 @@ import rich
 import rich.table
 import tyro
 
-from dynagen_bench import ids
+from dynagen_bench import __version__, ids
 from dynagen_bench.collection.policies import POLICY_FOLDER
 from dynagen_bench.collection.runs import collect as collect_runs
 from dynagen_bench.collection.settings import changed_settings
@@ -41,7 +41,11 @@ def dynamics_show(robot: Robot, label: Annotated[str, tyro.conf.Positional]) -> 
     name = ids.parse_label(ids.check_robot(robot), label)
     dynamics = load_dynamics(name.robot, name.split, name.index)
     nominal = nominal_robot(robot)
-    table = rich.table.Table("parameter", "element", "nominal", "factor", "value", "unit", title=name.env_id)
+    table = rich.table.Table(
+        "parameter", "element", "nominal", "factor", "value", "unit", title=f"{robot} {name.label}"
+    )
+    for column in table.columns[:5]:
+        column.no_wrap = True  # names are there to be copied, and numbers to be read: units give way
     for column in table.columns[2:5]:
         column.justify = "right"
     for parameter in PARAMETERS:
@@ -51,7 +55,7 @@ def dynamics_show(robot: Robot, label: Annotated[str, tyro.conf.Positional]) -> 
             if not np.any(values[i]):
                 continue  # nothing to scale: the world's mass, a root joint's damping
             shown, scaled = (
-                " ".join(f"{v:.4g}" for v in np.atleast_1d(x)) for x in (values[i], values[i] * factors[i])
+                "\n".join(f"{v:.4g}" for v in np.atleast_1d(x)) for x in (values[i], values[i] * factors[i])
             )
             table.add_row(parameter.field, element, shown, f"{factors[i]:.3f}", scaled, parameter.unit)
         table.add_section()
@@ -166,7 +170,7 @@ def collect(
 ) -> None:
     """Train the SAC behaviour policies of a robot: what is missing is run, one pinned process a processor.
 
-    Needs the [collect] extra. Hopper's 25 runs take about two hours on two processors. A run that dies is tried again;
+    Needs the [collect] extra. Hopper's 25 runs take about an hour on two processors. A run that dies is tried again;
     logs and records are in `.jobs` of the folder.
 
     Args:
@@ -305,15 +309,21 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; a mistake of the user's ends in one line on stderr and exit code 2, Ctrl-C in one and 130."""
+    """Run the command, or tell the version.
+
+    A mistake of the user's ends in one line on stderr and exit code 2, Ctrl-C in one and 130.
+    """
     given = list(sys.argv[1:] if arguments is None else arguments)
+    if given == ["--version"]:
+        sys.stdout.write(f"dynagen-bench {__version__}\n")
+        return
     word = given[0] if given else ""
     group = {name.removeprefix(f"{word} "): run for name, run in COMMANDS.items() if name.startswith(f"{word} ")}
     try:
         tyro.extras.subcommand_cli_from_dict(
             group or COMMANDS,
             prog=f"dynagen {word}" if group else "dynagen",
-            description="DynaGen Bench: bodies, data and scores of offline dynamics generalization.",
+            description="DynaGen Bench: bodies, data and scores of offline dynamics generalization (--version).",
             args=given[1:] if group else given,
         )
         sys.stdout.flush()  # here, where a reader that has gone is expected

@@ -8,6 +8,7 @@ import sys
 import gymnasium
 import pytest
 
+import dynagen_bench
 from dynagen_bench import ids
 from dynagen_bench.cli import COMMANDS, main
 from dynagen_bench.collection.policies import policy_file
@@ -29,6 +30,16 @@ def test_show_prints_factors_with_units(capsys, monkeypatch):
     assert value == pytest.approx(nominal * factor, rel=1e-3)
     assert cells[5] == "kg"
     assert "rootx" not in shown  # its damping is 0 whatever is drawn
+
+
+@pytest.mark.parametrize("robot", ids.ROBOTS)
+def test_show_cuts_no_name_and_no_number(robot, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")  # also where nothing is a terminal
+    assert "…" not in run(capsys, "dynamics", "show", robot, "test3")
+
+
+def test_the_version_is_the_packages(capsys):
+    assert run(capsys, "--version").split() == ["dynagen-bench", dynagen_bench.__version__]
 
 
 def test_draw_prints_what_gymnasium_takes(capsys):

@@ -284,7 +284,8 @@ def _returns(dataset: OfflineDataset, index: int) -> NDArray[np.float64]:
 
 
 def _paper_table(robot: str, test: OfflineDataset) -> str:
-    paper = PAPER_RETURNS[robot]
+    unknown = Reference(math.nan, math.nan, math.nan)
+    paper = PAPER_RETURNS.get(robot, (unknown,) * ids.SPLIT_SIZES["test"])
     rows = []
     for name in ids.dynamics_ids(robot, ("test",)):
         returns = _returns(test, name.index)

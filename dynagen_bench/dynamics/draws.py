@@ -19,6 +19,13 @@ from dynagen_bench.dynamics.parameters import PARAMETERS, Dynamics, nominal_robo
 SEED: Final = 20221128
 """Entropy of v0's draws: the first day of NeurIPS 2022, whose workshops saw the paper."""
 
+DRAWN: Final = tuple(
+    parameter
+    for parameter in PARAMETERS
+    if parameter.field in ("body_mass", "body_inertia", "dof_damping", "geom_friction")
+)
+"""The parameters that v0 draws; one that is added to `PARAMETERS` can be set, and is drawn in a version of its own."""
+
 LOG_RANGE: Final = 3.0
 """r ~ Uniform(-3, 3) in base**r (paper, appendix B)."""
 
@@ -29,11 +36,11 @@ DECIMALS: Final = 6
 def draw_dynamics(robot: str, rng: np.random.Generator) -> Dynamics:
     """Draw one dynamics: every element of every parameter has its own r ~ Uniform(-3, 3).
 
-    Drawn in the order of `PARAMETERS`, elements in MuJoCo's order, the floor geom included and the massless world body
+    Drawn in the order of `DRAWN`, elements in MuJoCo's order, the floor geom included and the massless world body
     left out. An element whose nominal value is 0 (the damping of a root joint) has a draw that does nothing.
     """
     drawn: dict[str, dict[str, float]] = {}
-    for parameter in PARAMETERS:
+    for parameter in DRAWN:
         names = [name for name in nominal_robot(robot).names[parameter.element] if name != "world"]
         factors = parameter.base ** rng.uniform(-LOG_RANGE, LOG_RANGE, size=len(names))
         drawn[parameter.field] = {name: round(float(f), DECIMALS) for name, f in zip(names, factors, strict=True)}
@@ -74,13 +81,18 @@ def load_dynamics(robot: str, split: str, index: int) -> Dynamics:
     return Dynamics.from_json(_read(robot)[name.split][name.index])
 
 
+def _drawn(dynamics: Dynamics) -> dict[str, dict[str, float]]:
+    plain = dynamics.to_json()
+    return {parameter.field: plain[parameter.field] for parameter in DRAWN}
+
+
 def draws_json(robot: str, seed: int = SEED) -> str:
     """The text of a robot's JSON file: how it was drawn, then its factors, one element a line for review."""
     content = {
         "robot": robot,
         "drawn": f"base**r, r ~ Uniform(-{LOG_RANGE:g}, {LOG_RANGE:g}), one draw an element",
         "seed": seed,
-        "base": {parameter.field: parameter.base for parameter in PARAMETERS},
-        **{split: [d.to_json() for d in draw_split(robot, split, seed)] for split in ("train", "test")},
+        "base": {parameter.field: parameter.base for parameter in DRAWN},
+        **{split: [_drawn(dynamics) for dynamics in draw_split(robot, split, seed)] for split in ("train", "test")},
     }
     return json.dumps(content, indent=1) + "\n"

@@ -84,7 +84,9 @@ class Dynamics:
             for name, factor in factors.items():
                 number = isinstance(factor, int | float) and not isinstance(factor, bool)
                 if not number or not 0 < factor <= sys.float_info.max:  # no infinity, no NaN, no int beyond all floats
-                    raise ValueError(f"{field} of {name!r} must be a finite factor above 0, got {factor!r}")
+                    raise ValueError(
+                        f"{field} of {name!r} must be a finite factor above 0, as a plain number, got {factor!r}"
+                    )
         return cls(**{field: {name: float(f) for name, f in factors.items()} for field, factors in data.items()})
 
     def to_json(self) -> dict[str, dict[str, float]]:

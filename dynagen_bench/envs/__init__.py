@@ -1,7 +1,5 @@
 """The environments: five robots whose bodies differ, registered with Gymnasium by a table and a loop."""
 
-from typing import Final
-
 import gymnasium
 
 from dynagen_bench import ids
@@ -9,7 +7,7 @@ from dynagen_bench.envs.batch import BatchPhysics, Transition
 from dynagen_bench.envs.robots import ROBOT_CLASSES
 from dynagen_bench.envs.rules import Rules
 from dynagen_bench.envs.single import RandomDynamics
-from dynagen_bench.envs.vector import RandomDynamicsVector
+from dynagen_bench.envs.vector import HORIZON, RandomDynamicsVector
 
 __all__ = [
     "HORIZON",
@@ -21,9 +19,6 @@ __all__ = [
     "Transition",
     "register_environments",
 ]
-
-HORIZON: Final = 200
-"""Steps after which an episode is truncated (paper, section 5.1)."""
 
 
 def register_environments() -> None:

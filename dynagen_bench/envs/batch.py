@@ -4,8 +4,10 @@ What is here: `BatchPhysics`, the transition function of `single` for N states a
 it. It must not know episodes: who resets, and when, is its caller's.
 """
 
+import os
+import weakref
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,6 +19,18 @@ from dynagen_bench.dynamics import Dynamics, apply_dynamics, compile_nominal
 from dynagen_bench.envs.robots import ROBOT_CLASSES
 from dynagen_bench.envs.rules import Array, Reward, Rules, Values, initial_state, observe, reward, velocity_info
 from dynagen_bench.envs.single import BAD_STATE
+
+_ALIVE: Final[weakref.WeakSet["BatchPhysics"]] = weakref.WeakSet()
+_INHERITED: Final[list["BatchPhysics"]] = []
+
+
+def _keep_inherited() -> None:
+    """In a forked process: a pool's threads are not there, and the end of its batch would wait for them for ever."""
+    _INHERITED.extend(_ALIVE)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_keep_inherited)
 
 
 class Transition(NamedTuple):
@@ -79,6 +93,8 @@ class BatchPhysics:
         self.reference_qpos: Array = model.qpos0.copy()
         self._batch = Batch(model, nsim=len(dynamics), nthread=threads)
         self._batch.set_models(self._models)
+        self._process = os.getpid()
+        _ALIVE.add(self)
         # a row of the batch's state begins with the time, qpos and qvel: one copy takes a whole physics state
         self.states: Array = self._batch.state[:, 1 : 1 + model.nq + model.nv]
         self.qpos: Array = self._batch.bind("qpos")
@@ -103,7 +119,8 @@ class BatchPhysics:
         return derived
 
     def derive(self, simulations: NDArray[np.integer[Any]]) -> None:
-        """Bring what is bound up to date with the states of simulations (M,)."""
+        """Bring what is bound up to date with the states of simulations (M,); raises RuntimeError as `step` does."""
+        self._check_process()
         self._batch.forward(simulations, stage=mujoco.mjtStage.mjSTAGE_VEL)
 
     def assign(self, simulations: NDArray[np.integer[Any]], dynamics: Sequence[Dynamics]) -> None:
@@ -137,7 +154,9 @@ class BatchPhysics:
 
         Raises:
             ValueError: actions of another shape, or not finite; no physics has run.
+            RuntimeError: this is a fork of the process that made it, without its threads.
         """
+        self._check_process()
         # a slice copies a third as fast again as an array of all indices does, and most steps are of all
         rows: Any = slice(None) if simulations is None else simulations
         count = len(self) if simulations is None else len(simulations)
@@ -166,6 +185,13 @@ class BatchPhysics:
             terminated |= unstable
         observations = observe(self.rules, states, len(self.reference_qpos))
         return Transition(observations, rewards, terminated, unstable, states, velocities, terms)
+
+    def _check_process(self) -> None:
+        if os.getpid() != self._process:
+            raise RuntimeError(
+                f"{self.robot}: these simulations were made before the process was forked, and their threads stayed "
+                "behind: make them in the process that steps them, or start it by 'spawn'"
+            )
 
     def _unstable(self, rows: Any) -> NDArray[np.bool_] | None:
         """Which of the simulations (M,) just stepped have had a bad state, or None for none.

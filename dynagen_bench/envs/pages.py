@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
-from dynagen_bench.dynamics import PARAMETERS, Parameter, draws, factor_array, load_dynamics, nominal_robot
+from dynagen_bench.dynamics import Parameter, draws, factor_array, load_dynamics, nominal_robot
 from dynagen_bench.envs.robots import ROBOT_CLASSES
 from dynagen_bench.envs.rules import Rules, keyword_fields
 from dynagen_bench.envs.single import RENDER_KEYWORDS, RandomDynamics
@@ -197,7 +197,10 @@ def _keywords(robot_class: type[RandomDynamics]) -> list[str]:
     return [
         "## Keyword arguments",
         table(["keyword", "default", "Gymnasium's", "meaning"], rows, numbers_from=None),
-        f"Rendering is Gymnasium's own: {rendering}.",
+        _prose(
+            f"Rendering is Gymnasium's own: {rendering}. Without a display set `MUJOCO_GL=egl` (or `osmesa`) before "
+            "Python starts; Gymnasium's `RecordVideo` needs `moviepy` too."
+        ),
     ]
 
 
@@ -206,7 +209,9 @@ def _many(robot: str) -> list[str]:
         "## Many at once",
         _prose(
             f'`gymnasium.make_vec("{ids.v0_env_id(robot)}", num_envs=N)` steps N sub-environments together on threads, '
-            "and gives the bits of N single ones. It takes the fields and the rendering arguments above, and:"
+            "and gives the bits of N single ones. It takes the fields and the rendering arguments above, and those "
+            "below. It alone spreads the dynamics of a split: with `vectorization_mode` `sync` or `async`, Gymnasium "
+            "makes N times the same single environment, which takes `index`, or draws at every reset."
         ),
         table(
             ["keyword", "default", "meaning"],
@@ -248,7 +253,7 @@ def _variation(robot: str) -> list[str]:
             "among the train and the test dynamics; an element whose nominal value is 0 is left out."
         ),
     ]
-    for parameter in PARAMETERS:
+    for parameter in draws.DRAWN:
         train, test = _factors(robot, "train", parameter), _factors(robot, "test", parameter)
         rows = [
             [f"`{name}`", _numbers(value), *_range(train[:, row]), *_range(test[:, row])]
@@ -265,7 +270,7 @@ def _variation(robot: str) -> list[str]:
 
 def _drawing(robot: str) -> list[str]:
     rows = []
-    for parameter in PARAMETERS:
+    for parameter in draws.DRAWN:
         ends = _range(parameter.base ** np.array([-draws.LOG_RANGE, draws.LOG_RANGE]))
         count = len(_varied(robot, parameter))
         rows.append([f"`{parameter.field}`", parameter.unit, f"{parameter.base:g}^r", *ends, f"{count}"])
@@ -289,7 +294,7 @@ def _drawing(robot: str) -> list[str]:
 
 def _test_factors(robot: str) -> list[str]:
     rows = []
-    for parameter in PARAMETERS:
+    for parameter in draws.DRAWN:
         test = _factors(robot, "test", parameter)
         for name, _, row in _varied(robot, parameter):
             rows.append([f"`{parameter.field}`", f"`{name}`", *[f"{factor:.3f}" for factor in test[:, row]]])

@@ -109,9 +109,12 @@ def keyword_fields(rules: Rules) -> list[str]:
     """Names of the fields that a keyword argument sets in a robot of these rules: those that would act.
 
     Not `healthy`, which is a function; not `hidden_positions`, a fact of the robot's qpos that no task changes; not the
-    ranges that its healthiness does not read. (Healthiness that is not of this file is taken to read all.)
+    ranges that its healthiness does not read, nor what becomes of the unhealthy where there are none. (Healthiness that
+    is not of this file is taken to read all.)
     """
     left_out = {"healthy", "hidden_positions", *RANGES}.difference(_READ.get(rules.healthy, RANGES))
+    if rules.healthy is always_healthy:
+        left_out.add("terminate_when_unhealthy")
     return [field.name for field in dataclasses.fields(rules) if field.name not in left_out]
 
 

@@ -106,6 +106,28 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
         # Gymnasium's class has stored its own arguments for pickling: ours replace them
         utils.EzPickle.__init__(self, split=split, index=index, dynamics=dynamics, **kwargs)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The arguments that made it, and the dynamics it has drawn; as of Gymnasium's, no state of the episode."""
+        return super().__getstate__() | {"dynamics_index": self.dynamics_index}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Make it again, with the dynamics that had been drawn."""
+        super().__setstate__(state)
+        if self._redraws and state["dynamics_index"] >= 0:
+            self._apply_index(self.model, state["dynamics_index"])
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """The factors of the body it is now: no observation shows them, and an agent that reads them is privileged."""
+        if self._own is not None:
+            return self._own
+        return Dynamics() if self.dynamics_index < 0 else load_dynamics(self.robot, self._split, self.dynamics_index)
+
+    @property
+    def _redraws(self) -> bool:
+        """Whether each reset draws the dynamics."""
+        return self._own is None and self._index is None
+
     def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         # What Gymnasium derives (initial state, spaces, renderer) is made after this, from the changed model.
         # The framebuffer grows to the asked size, as in Gymnasium's method, which this one replaces.
@@ -124,7 +146,7 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
 
     def reset_model(self) -> Array:
         """Draw the dynamics where none is fixed, then the noisy initial state; returns the observation (S,)."""
-        if self._own is None and self._index is None:
+        if self._redraws:
             self._apply_index(self.model, int(self.np_random.integers(ids.SPLIT_SIZES[self._split])))
         self.set_state(*initial_state(self.rules, self.init_qpos, self.model.nv, self.np_random))  # type: ignore[no-untyped-call]
         return self._get_obs()
@@ -180,6 +202,26 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
             self.render()  # type: ignore[no-untyped-call]
         observation = observe(self.rules, state, len(self._qpos))
         return observation, float(terms.total) if stable else 0.0, bool(terminated), False, info
+
+    @property
+    def is_healthy(self) -> bool:
+        """Whether the present state is healthy by our rules, as `step` asks; so are the other terms of the reward."""
+        return bool(self.rules.healthy(self.rules, self._state()))
+
+    @property
+    def healthy_reward(self) -> float:
+        """The term of the reward for the present state."""
+        return self.rules.healthy_reward * self.is_healthy
+
+    def control_cost(self, action: NDArray[np.floating[Any]]) -> float:
+        """What an action (A,) costs, clipped as `step` does; raises ValueError as it does."""
+        return -float(reward(self.rules, np.float64(0.0), np.bool_(False), self._control(action)).ctrl)
+
+    @property
+    def contact_cost(self) -> float:
+        """What the contact forces of the last step cost."""
+        forces = self._forces if self.rules.contact_cost_weight else None
+        return -float(reward(self.rules, np.float64(0.0), np.bool_(False), np.zeros_like(self._low), forces).contact)
 
     def _control(self, action: NDArray[np.floating[Any]]) -> Array:
         ctrl = np.asarray(action, dtype=np.float64)

@@ -22,8 +22,14 @@ from dynagen_bench.envs.batch import BatchPhysics, Transition, checked_actions
 from dynagen_bench.envs.robots import ROBOT_CLASSES
 from dynagen_bench.envs.rules import Array, position_info, reward_info
 
+HORIZON: Final = 200
+"""Steps after which an episode is truncated (paper, section 5.1)."""
+
 SPREAD: Final = "spread"
 """Value of `index`: sub-environment i runs dynamics i mod (size of the split)."""
+
+NO_LIMIT: Final = -1
+"""Value of `max_episode_steps`, as of `gymnasium.make`."""
 
 Infos = dict[str, Any]
 
@@ -74,8 +80,8 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
             indices: sub-environment i runs dynamics `indices[i mod len(indices)]` of the split.
             dynamics: a user's own, instead of split, index and indices: factors as plain data for all, or a list of
                 such, sub-environment i taking the i-th modulo the list's length.
-            max_episode_steps: steps after which an episode is truncated; None for no limit. `make_vec` gives the
-                benchmark's 200.
+            max_episode_steps: steps after which an episode is truncated; None for the benchmark's 200, -1 for no limit,
+                as of `gymnasium.make`.
             autoreset_mode: `NextStep`, `SameStep` or `Disabled`, or Gymnasium's `AutoresetMode`.
             threads: physics threads, 0 for all processors; the bits are the same at any number.
             render_mode: `rgb_array`, `depth_array` or `rgbd_tuple`.
@@ -90,8 +96,11 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         count = ids.whole_number(num_envs)
         if count is None or count < 1:
             raise ValueError(f"num_envs is {num_envs!r}: give a whole number from 1 on")
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise ValueError(f"max_episode_steps is {max_episode_steps}: give a whole number from 1 on, or None")
+        steps = HORIZON if max_episode_steps is None else max_episode_steps
+        if steps < 1 and steps != NO_LIMIT:
+            raise ValueError(
+                f"max_episode_steps is {steps}: give a whole number from 1 on, {NO_LIMIT} for no limit, or None"
+            )
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode is {render_mode!r}: choose from {', '.join(self.metadata['render_modes'])}")
         self.num_envs = num_envs = count
@@ -120,13 +129,18 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         self.single_action_space = self._single.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._max_steps = math.inf if max_episode_steps is None else max_episode_steps
+        self._max_steps = math.inf if steps == NO_LIMIT else steps
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._ended = np.ones(num_envs, dtype=np.bool_)
         self._some_ended = True
         self._observations = np.zeros(self.observation_space.shape or ())
         self._started = False
+
+    @property
+    def dynamics(self) -> list[Dynamics]:
+        """The factors of each sub-environment's body, N of them, now; see the single environment's."""
+        return [self._pool[i] for i in self._choice]
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -185,7 +199,7 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         rngs = [rng for rng in (self._rngs[i] for i in rows) if rng is not None]
         if self._redraw:
             drawn = [int(rng.integers(len(self._pool))) for rng in rngs]
-            self.dynamics_indices[rows] = drawn
+            self.dynamics_indices[rows] = self._choice[rows] = drawn
             self.physics.assign(rows, [self._pool[i] for i in drawn])
         self._observations[rows] = self.physics.start(rows, rngs)
         self._steps[rows] = 0

@@ -1,5 +1,8 @@
 """Many simulations at once: the bits of single environments, whoever else is in the batch."""
 
+import multiprocessing
+from multiprocessing.connection import Connection
+
 import gymnasium
 import numpy as np
 import pytest
@@ -121,6 +124,32 @@ def test_an_unknown_robot_is_told_the_near_one():
     for call in (lambda: BatchPhysics("Hoper", [Dynamics()]), lambda: physics_digest("Hoper")):
         with pytest.raises(ValueError, match=r"unknown robot 'Hoper': .* did you mean 'Hopper'"):
             call()
+
+
+def _step_what_was_inherited(batch: BatchPhysics, pipe: Connection) -> None:
+    """In a forked process: step, then let go of it; what is said of it goes into `pipe`."""
+    try:
+        batch.step(np.zeros((2, 3)))
+    except RuntimeError as error:
+        pipe.send(str(error))
+    del batch
+    own = batch_of("Hopper", "test", 2, threads=2)
+    own.start(np.arange(2), [np.random.default_rng(i) for i in range(2)])
+    pipe.send(own.step(np.zeros((2, 3))).rewards.tolist())
+
+
+def test_a_forked_process_is_told_to_make_its_own():
+    batch = batch_of("Hopper", "test", 2, threads=2)
+    batch.start(np.arange(2), [np.random.default_rng(i) for i in range(2)])
+    ours, theirs = multiprocessing.Pipe()
+    child = multiprocessing.get_context("fork").Process(target=_step_what_was_inherited, args=(batch, theirs))
+    child.start()
+    assert ours.poll(60)
+    assert "make them in the process that steps them, or start it by 'spawn'" in ours.recv()
+    assert ours.poll(60)
+    assert ours.recv() == batch.step(np.zeros((2, 3))).rewards.tolist()
+    child.join(60)
+    assert child.exitcode == 0
 
 
 def test_no_dynamics_is_refused():

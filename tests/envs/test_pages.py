@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from dynagen_bench import ids
-from dynagen_bench.dynamics import PARAMETERS, load_dynamics, nominal_robot
+from dynagen_bench.dynamics import load_dynamics, nominal_robot
+from dynagen_bench.dynamics.draws import DRAWN
 from dynagen_bench.envs import ROBOT_CLASSES, Rules
 from dynagen_bench.envs.pages import attribute_docs, environment_page, page_file, write_page
 from dynagen_bench.envs.rules import keyword_fields
@@ -107,7 +108,7 @@ def test_info_keys_are_those_of_the_environment(robot, pages):
 def test_what_varies_is_every_element_with_the_range_of_its_draws(robot, pages):
     varies = pages[robot].partition("## What varies")[2].partition("## How")[0]
     nominal = nominal_robot(robot)
-    for parameter in PARAMETERS:
+    for parameter in DRAWN:
         section = varies.partition(f"### {parameter.field}\n")[2].partition("###")[0]
         found = {row[0].strip("`"): row for row in rows(section)[2:]}
         values = dict(zip(nominal.names[parameter.element], nominal.values[parameter.field], strict=True))

@@ -1,13 +1,17 @@
 """One environment: Gymnasium's robot where nothing is drawn, and one function of the state everywhere."""
 
+import copy
+import pickle
+
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from gymnasium.envs.mujoco.ant_v5 import AntEnv
 
 import dynagen_bench  # noqa: F401, registers the environments
 from dynagen_bench import ids
-from dynagen_bench.dynamics import load_dynamics
+from dynagen_bench.dynamics import Dynamics, load_dynamics
 from dynagen_bench.envs import ROBOT_CLASSES
 from tests.dynamics.test_parameters import GYMNASIUM_IDS
 
@@ -58,10 +62,51 @@ def test_ants_reward_is_gymnasiums_at_the_new_state():
         mujoco.mj_forward(env.model, env.data)
         mujoco.mj_rnePostConstraint(env.model, env.data)
         # Gymnasium's own property, read after the forward pass at the new state
+        contact_cost = AntEnv.contact_cost.fget(env)
         assert reward == pytest.approx(
-            (env.data.qpos[0] - x) / 0.05 + 1 - 0.5 * (action**2).sum() - env.contact_cost, abs=1e-6
+            (env.data.qpos[0] - x) / 0.05 + 1 - 0.5 * (action**2).sum() - contact_cost, abs=1e-6
         )
-    assert env.contact_cost > 0
+    assert contact_cost > 0
+
+
+@pytest.mark.parametrize("robot", ids.ROBOTS)
+def test_gymnasiums_properties_are_the_terms_of_our_reward(robot):
+    changed = {"ctrl_cost_weight": 9.0, "contact_cost_weight": 3e-4, "healthy_reward": 2.5}
+    if robot != "HalfCheetah":
+        changed["healthy_z_range"] = (5.0, 9.0)  # nobody stands so high
+    for keywords, upright in (({"healthy_reward": 2.5}, True), (changed, robot == "HalfCheetah")):
+        env = make(robot, split="nominal", **keywords)
+        env.reset(seed=0)
+        assert env.is_healthy == upright
+        action = 2 * env.action_space.high  # beyond what the actuators take
+        info = env.step(action)[4]
+        assert env.healthy_reward == info["reward_survive"]
+        assert env.control_cost(action) == -info["reward_ctrl"] > 0
+        assert env.contact_cost == -info["reward_contact"]
+
+
+def test_the_factors_of_the_present_body_can_be_asked_for():
+    env = make("Hopper", split="test")
+    assert env.dynamics == Dynamics()
+    for seed in range(3):
+        index = env.reset(seed=seed)[1]["dynamics_index"]
+        assert env.dynamics == load_dynamics("Hopper", "test", index)
+    own = {"body_mass": {"torso": 1.5}}
+    assert make("Hopper", dynamics=own).dynamics == Dynamics.from_json(own)
+    assert make("Hopper", split="nominal").dynamics == Dynamics()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301, our bytes
+def test_a_copy_has_the_body_that_was_drawn(copied):
+    env = make("Hopper", split="train")
+    assert copied(env).dynamics_index == -1
+    env.reset(seed=0)
+    other = copied(env)
+    assert other.dynamics_index == env.dynamics_index
+    for one in (env, other):
+        one.set_state(env.init_qpos, env.init_qvel)
+    action = np.ones(3)
+    np.testing.assert_array_equal(other.step(action)[0], env.step(action)[0])
 
 
 def test_slim_humanoids_reward_is_the_papers():

@@ -8,7 +8,8 @@ from gymnasium.wrappers import vector as wrappers
 
 import dynagen_bench  # noqa: F401, registers
 from dynagen_bench import ids
-from dynagen_bench.dynamics import Dynamics
+from dynagen_bench.dynamics import Dynamics, load_dynamics
+from dynagen_bench.envs import HORIZON
 
 MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]
 
@@ -109,6 +110,34 @@ def test_disabled_autoreset_waits_for_the_users_reset():
     assert_same_infos(infos, their_infos)
     with pytest.raises(gymnasium.error.ResetNeeded, match=r"\[1\] have ended"):
         ours.step(np.zeros((3, 3), dtype=np.float32))
+
+
+@pytest.mark.parametrize("mode", [None, "sync"])
+@pytest.mark.parametrize(
+    ("given", "limit"), [({}, 200), ({"max_episode_steps": None}, 200), ({"max_episode_steps": 9}, 9)]
+)
+def test_the_time_limit_is_that_of_gymnasium_make(given, limit, mode):
+    env = gymnasium.make_vec("HalfCheetah-RandDyn-v0", num_envs=2, split="test", vectorization_mode=mode, **given)
+    env.reset(seed=0)
+    steps = 0
+    while not env.step(np.zeros((2, 6)))[3].all():
+        steps += 1
+    assert steps + 1 == limit
+
+
+def test_minus_one_is_no_time_limit_as_in_gymnasium_make():
+    env = gymnasium.make_vec("HalfCheetah-RandDyn-v0", num_envs=1, max_episode_steps=-1)
+    env.reset(seed=0)
+    assert not any(env.step(np.zeros((1, 6)))[3].any() for _ in range(HORIZON + 5))
+
+
+def test_the_factors_of_the_present_bodies_can_be_asked_for():
+    env = gymnasium.make_vec("Hopper-RandDyn-v0", num_envs=3, split="train", index=None)
+    env.reset(seed=0)
+    drawn = [load_dynamics("Hopper", "train", int(i)) for i in env.unwrapped.dynamics_indices]
+    assert env.unwrapped.dynamics == drawn
+    spread = gymnasium.make_vec("Hopper-RandDyn-v0", num_envs=6, split="test").unwrapped.dynamics
+    assert spread == [load_dynamics("Hopper", "test", i % 5) for i in range(6)]
 
 
 def test_which_dynamics_run_where():
@@ -227,7 +256,11 @@ def test_an_unstable_step_is_that_of_the_single_environment(robot, speed, mode, 
         ({"dynamics": 3}, ValueError, "unknown dynamics parameter 3: choose from body_mass"),
         ({"dynamics": "heavy"}, ValueError, "unknown dynamics parameter 'heavy': choose from body_mass"),
         ({"autoreset_mode": "Sometimes"}, ValueError, "Sometimes"),
-        ({"max_episode_steps": 0}, ValueError, "max_episode_steps is 0"),
+        (
+            {"max_episode_steps": 0},
+            ValueError,
+            "max_episode_steps is 0: give a whole number from 1 on, -1 for no limit",
+        ),
         ({"render_mode": "human"}, ValueError, "render_mode is 'human': choose from rgb_array"),
         ({"gravity": 3}, TypeError, "Hopper has no keyword 'gravity'"),
     ],
