@@ -76,7 +76,7 @@ def submit(
     configs, records = [run.config for run in found], [run.record for run in found]
     agent = _the_same("agent", [config["agent"] for config in configs])
     # a run may be older than what has adapted it, and the later commit has both
-    commit = _the_same("commit", [run.record.get("commit", run.config["commit"]) for run in found])
+    commits = [_clean(run.record.get("commit", run.config["commit"])) for run in found]
     for robot in {config["settings"]["robot"] for config in configs}:
         of_robot = [config for config in configs if config["settings"]["robot"] == robot]
         _the_same(f"config for {robot}", [config["config"] for config in of_robot])
@@ -91,7 +91,7 @@ def submit(
             description=" ".join((description or _summary(agent), _training_line(found))),
             paper=paper,
             code=code,
-            commit=commit if commit and not commit.endswith("-dirty") else None,
+            commit=commits[0] if len(set(commits)) == 1 else None,
             track=track,
             checkpoint=checkpoint,
             # all agents see the last K steps of the episode; who was fine-tuned has seen more
@@ -100,7 +100,9 @@ def submit(
             hours=sum(record["hours"] for record in records),
             versions=_the_same("versions", [record["versions"] for record in records]),
             commands=[command for run in found for command in _commands(run, checkpoint)],
-            runs=[_run(run) for run in found],
+            runs=[
+                _run(run, commit if len(set(commits)) > 1 else None) for run, commit in zip(found, commits, strict=True)
+            ],
         )
     except pydantic.ValidationError as error:
         raise ValueError(f"not a submission: {first_error(error)}") from error
@@ -128,7 +130,12 @@ def _read_run(folder: Path, checkpoint: str, track: Track) -> FinishedRun:
     return FinishedRun(config, last, record, traces, curve)
 
 
-def _run(run: FinishedRun) -> Run:
+def _clean(commit: str | None) -> str | None:
+    """A commit that anybody can check out, or None."""
+    return commit if commit and not commit.endswith("-dirty") else None
+
+
+def _run(run: FinishedRun, commit: str | None) -> Run:
     evaluation = EpisodeRecord.model_validate(run.record["evaluation"])
     return Run(
         robot=evaluation.robot,
@@ -137,6 +144,7 @@ def _run(run: FinishedRun) -> Run:
         evaluation=evaluation,
         trace=run.traces.sha256,
         curve=run.curve,
+        commit=commit,
     )
 
 

@@ -23,6 +23,7 @@ def submit(
     directory: Annotated[Path, tyro.conf.Positional],
     board: Path = boards.BOARD,
     replace: tyro.conf.FlagCreatePairsOff[bool] = False,
+    join: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> None:
     """Verify a submission by replay, add it to the board and make the page anew: all of it or nothing.
 
@@ -30,9 +31,10 @@ def submit(
         directory: Folder that holds submission.json and traces/.
         board: The board's folder, with entries/ and LEADERBOARD.md.
         replace: Take the place of an entry of the same name.
+        join: Add the runs, of other robots or seeds, to those of the entry of the same name.
     """
     with _progress() as done:
-        entry = boards.submit(directory, board, replace, done)
+        entry = boards.submit(directory, board, replace, join, done)
     print(f"added {entry.slug}, {entry.label}; the page is {board / boards.PAGE}")
 
 

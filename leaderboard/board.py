@@ -11,7 +11,19 @@ from typing import Final
 
 from dynagen_bench.evaluation.submission import FILE_NAME, Submission, trace_content
 from dynagen_bench.whole import exclusively, whole_file
-from leaderboard.entries import FOLDER, VERDICT, Entry, entry_in_place, read_entries, read_official, recover, slug_of
+from leaderboard.copies import check_copies
+from leaderboard.entries import (
+    FOLDER,
+    LABELS,
+    VERDICT,
+    Entry,
+    entry_in_place,
+    read_entries,
+    read_official,
+    recover,
+    slug_of,
+)
+from leaderboard.joining import joined
 from leaderboard.markdown import page
 from leaderboard.site.builder import SITE, site_page
 from leaderboard.standings import run_scores
@@ -28,7 +40,11 @@ def ignore(check: RunCheck) -> None:
 
 
 def submit(
-    folder: Path, board: Path = BOARD, replace: bool = False, done: Callable[[RunCheck], None] = ignore
+    folder: Path,
+    board: Path = BOARD,
+    replace: bool = False,
+    join: bool = False,
+    done: Callable[[RunCheck], None] = ignore,
 ) -> Entry:
     """Verify the submission in `folder`, copy it into the board and make the pages anew; returns the entry.
 
@@ -40,17 +56,21 @@ def submit(
         folder: holds `submission.json` and the traces that it names; nothing else in it is read or copied.
         board: the board's folder.
         replace: take the place of an entry of the same name.
+        join: add the runs to those of the entry of the same name.
         done: called with each run that has been verified.
 
     Raises:
         FileNotFoundError: there is no submission in `folder`.
-        FileExistsError: the board has an entry of this name, and `replace` is not given.
-        ValueError: one line naming the file and the field that is wrong.
+        FileExistsError: the board has an entry of this name, and neither `replace` nor `join` is given.
+        ValueError: one line naming the file and the field that is wrong, or there is no entry to join.
     """
+    if replace and join:
+        raise ValueError("give either --replace or --join: the new runs stand alone, or beside those of the entry")
     submission = read_official(folder)
     run_scores(submission)  # there have to be reference scores
-    _check_name(board, slug_of(submission), replace)
-    _check_own(folder, submission, read_entries(board) if board.is_dir() else [])
+    _check_name(board, slug_of(submission), replace or join)
+    if join:
+        joined(_entry(board, slug_of(submission)).submission, submission)  # raises before the long replay
     checks = verify(folder, submission, done)
     faults = [fault for check in checks for fault in check.faults]
     if faults:
@@ -58,10 +78,24 @@ def submit(
         raise ValueError(faults[0] + more)
     entry = Entry(slug_of(submission), _with_returns(submission, checks), label_of(checks))
     with _locked(board):
-        _check_name(board, entry.slug, replace)
-        _check_own(folder, submission, read_entries(board))
-        _put(board, entry, folder)
+        _check_name(board, entry.slug, replace or join)
+        sources = [folder]
+        if join:
+            there = _entry(board, entry.slug)
+            whole = joined(there.submission, entry.submission)
+            entry = Entry(entry.slug, whole, min(there.label, entry.label, key=LABELS.index))
+            sources.append(board / FOLDER / entry.slug)
+        check_copies(folder, entry.submission, read_entries(board))
+        _put(board, entry, sources)
     return entry
+
+
+def _entry(board: Path, slug: str) -> Entry:
+    """An entry of a board; raises ValueError if there is none of that name."""
+    found = next((entry for entry in read_entries(board) if entry.slug == slug), None) if board.is_dir() else None
+    if found is None:
+        raise ValueError(f"{board} has no entry {slug!r} to join: submit it without --join")
+    return found
 
 
 def rerun(slug: str, folder: Path, board: Path = BOARD) -> Entry:
@@ -91,7 +125,7 @@ def rerun(slug: str, folder: Path, board: Path = BOARD) -> Entry:
                 raise ValueError(f"{folder / FILE_NAME}: the run of {run.robot} with seed {run.seed} {what}")
             trace_content(folder, mine)  # the file is what its hash says
         entry = Entry(slug, entry.submission, "re-run")
-        _put(board, entry, board / FOLDER / slug)
+        _put(board, entry, [board / FOLDER / slug])
     return entry
 
 
@@ -108,7 +142,7 @@ def verify_entries(board: Path = BOARD, done: Callable[[RunCheck], None] = ignor
     found = {}
     entries = read_entries(board)
     for entry in entries:
-        _check_own(board / FOLDER / entry.slug, entry.submission, entries)
+        check_copies(board / FOLDER / entry.slug, entry.submission, entries)
         checks = verify(board / FOLDER / entry.slug, entry.submission, done)
         if entry.label != "self-reported" and any(check.label == "self-reported" for check in checks):
             line = (
@@ -150,24 +184,9 @@ def _locked(board: Path) -> Iterator[None]:
 
 def _check_name(board: Path, slug: str, replace: bool) -> None:
     if not replace and (board / FOLDER / slug).is_dir():
-        raise FileExistsError(f"{board} has an entry {slug!r}: give --replace, or another name to the agent")
-
-
-def _check_own(folder: Path, submission: Submission, entries: Sequence[Entry]) -> None:
-    """Raise ValueError for a run that an entry of another agent has: episodes are of who acted in them."""
-    theirs = {
-        run.trace: entry.slug
-        for entry in entries
-        if entry.submission.agent != submission.agent
-        for run in entry.submission.runs
-        if run.trace is not None
-    }
-    for number, run in enumerate(submission.runs):
-        if run.trace in theirs:
-            raise ValueError(
-                f"{folder / FILE_NAME}: runs.{number}.trace: these are the episodes of the entry "
-                f"{theirs[run.trace]!r}: give the agent that name, or its own runs"
-            )
+        raise FileExistsError(
+            f"{board} has an entry {slug!r}: give --replace, --join to add runs to it, or another name to the agent"
+        )
 
 
 def _with_returns(submission: Submission, checks: Sequence[RunCheck]) -> Submission:
@@ -181,11 +200,11 @@ def _with_returns(submission: Submission, checks: Sequence[RunCheck]) -> Submiss
     return submission.model_copy(update={"runs": runs})
 
 
-def _put(board: Path, entry: Entry, source: Path) -> None:
+def _put(board: Path, entry: Entry, sources: Sequence[Path]) -> None:
     """Entry and pages, both or neither."""
     entries = {other.slug: other for other in read_entries(board)} | {entry.slug: entry}
     pages = _pages([entries[slug] for slug in sorted(entries)])
-    with entry_in_place(board, entry, source), _pages_in_place(board, pages):
+    with entry_in_place(board, entry, sources), _pages_in_place(board, pages):
         pass
 
 

@@ -20,7 +20,7 @@ import os
 import re
 import shutil
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
@@ -168,7 +168,7 @@ def _digest(submission: Submission) -> str:
 
 
 @contextlib.contextmanager
-def entry_in_place(board: Path, entry: Entry, source: Path) -> Iterator[None]:
+def entry_in_place(board: Path, entry: Entry, sources: Sequence[Path]) -> Iterator[None]:
     """Put an entry into its folder, in place of the one that was there, for as long as the block ends well.
 
     After an error in the block, or before it, the board has what it had. The caller holds the board's lock; a kill
@@ -177,13 +177,14 @@ def entry_in_place(board: Path, entry: Entry, source: Path) -> Iterator[None]:
     Args:
         board: the board's folder.
         entry: what to store.
-        source: the folder of the submission, whose traces are copied; the entry's own folder, too.
+        sources: folders of submissions whose traces are copied, each from the first that has it; the entry's own
+            folder, too.
     """
     place = board / FOLDER / entry.slug
     unfinished, replaced = (place.with_name(f".{entry.slug}.{state}") for state in ("unfinished", "replaced"))
     new = not place.is_dir()
     try:
-        _fill(unfinished, entry, source)
+        _fill(unfinished, entry, sources)
         if not new:
             os.replace(place, replaced)
         os.replace(unfinished, place)
@@ -198,9 +199,10 @@ def entry_in_place(board: Path, entry: Entry, source: Path) -> Iterator[None]:
     shutil.rmtree(replaced, ignore_errors=True)
 
 
-def _fill(place: Path, entry: Entry, source: Path) -> None:
+def _fill(place: Path, entry: Entry, sources: Sequence[Path]) -> None:
     for run in entry.submission.runs:
         if run.trace is not None:  # one at a time in memory, and compared with its hash again
+            source = next((folder for folder in sources if (folder / run.trace_name).is_file()), sources[0])
             with whole_file(place / run.trace_name) as unfinished:
                 unfinished.write_bytes(trace_content(source, run))
     if entry.label != "self-reported":

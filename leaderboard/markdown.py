@@ -152,7 +152,7 @@ def _entry(entry: Entry) -> str:
         f"- About: {escape(submission.description)}",
         f"- Authors: {', '.join(map(escape, submission.authors))}",
         f"- Links: {', '.join(links) or 'none'}",
-        f"- Commit: {submission.commit or 'not given'}",
+        f"- Commit: {', '.join(submission.commits) or 'not given'}",
         f"- Training: {' or '.join(map(str, steps))} gradient steps a run, {submission.hours:g} hours in all, "
         f"on {escape(submission.hardware)}",
         f"- Evaluated with MuJoCo {' and '.join(map(escape, mujoco))}",

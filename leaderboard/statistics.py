@@ -1,8 +1,8 @@
 """What the scores of a few runs say, and how sure that is: aggregates with intervals, and ranks that share.
 
 What is here: interquartile mean, optimality gap, probability of improvement and performance profile, each with a
-bootstrap interval, and `ranks`. Called by `standings` and the site. It must not know entries, files or how numbers
-look.
+bootstrap interval, `ranks`, and the bootstrap's `draws`. Called by `standings`, the site and the reference results. It
+must not know entries, files or how numbers look.
 
 The measures are those of Agarwal et al., *Deep Reinforcement Learning at the Edge of the Statistical Precipice* (2021).
 A score is a number of one run in one dynamics. `Scores` holds them by robot, as (R, M) float64 arrays: R runs, M test
@@ -68,7 +68,7 @@ def interquartile_mean(scores: Scores) -> Estimate:
     pooled = np.concatenate([values.ravel() for values in _checked(scores).values()])
     samples: NDArray[np.float64] | None = None
     if _enough(scores):
-        drawn = [values[_draws(robot, len(values))] for robot, values in scores.items()]
+        drawn = [values[draws(robot, len(values))] for robot, values in scores.items()]
         samples = _middle_mean(np.concatenate([values.reshape(RESAMPLES, -1) for values in drawn], axis=1))
     return _estimate(float(_middle_mean(pooled[None])[0]), samples)
 
@@ -84,7 +84,7 @@ def optimality_gap(scores: Scores) -> Estimate:
     samples = None
     if _enough(scores):
         samples = _ordered_sum(
-            column for robot, values in below.items() for column in values[_draws(robot, len(values))].T
+            column for robot, values in below.items() for column in values[draws(robot, len(values))].T
         )
         samples /= count
     return _estimate(float(_ordered_sum(value for values in below.values() for value in values)) / count, samples)
@@ -177,7 +177,7 @@ def _estimate(value: float, samples: NDArray[np.float64] | None) -> Estimate:
 
 
 @functools.lru_cache(maxsize=64)
-def _draws(robot: str, runs: int, side: int = 0) -> NDArray[np.intp]:
+def draws(robot: str, runs: int, side: int = 0) -> NDArray[np.intp]:
     """(RESAMPLES, runs) numbers of runs, drawn with replacement; another stream for each robot and side."""
     stream = np.random.PCG64(np.random.SeedSequence([_SEED, side, *robot.encode()]))
     raw = stream.random_raw(RESAMPLES * runs).reshape(RESAMPLES, runs)
@@ -187,7 +187,7 @@ def _draws(robot: str, runs: int, side: int = 0) -> NDArray[np.intp]:
 @functools.lru_cache(maxsize=64)
 def _counts(robot: str, runs: int, side: int = 0) -> NDArray[np.float64]:
     """(RESAMPLES, runs): how often each run was drawn, whole numbers."""
-    drawn = _draws(robot, runs, side)
+    drawn = draws(robot, runs, side)
     return np.stack([(drawn == run).sum(axis=1, dtype=np.float64) for run in range(runs)], axis=1)
 
 

@@ -8,7 +8,7 @@ import tyro
 
 from dynagen_bench.whole import whole_file
 from results.kept import REFERENCE, keep, keep_compute
-from results.page import pages
+from results.page import DRAWINGS, pages
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -39,7 +39,13 @@ def _build(check: tyro.conf.FlagCreatePairsOff[bool] = False) -> None:
     Args:
         check: Write nothing; end with status 1 if one of them is not what would be written.
     """
-    for name, text in pages().items():
+    made = pages()
+    for path in sorted({*DOCS.glob(f"{DRAWINGS}/*.svg")} - {DOCS / name for name in made}):
+        if check:
+            raise ValueError(f"{path} is a drawing of nothing that is kept: run `python -m results build`")
+        path.unlink()
+        print(f"removed {path}")
+    for name, text in made.items():
         path = DOCS / name
         if path.is_file() and path.read_bytes() == text.encode("utf-8"):
             continue

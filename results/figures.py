@@ -7,6 +7,7 @@ import html
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+from agents import AGENTS
 from agents.summary.charts import Scale, curve_of, line, scale_of
 from agents.summary.intervals import Estimate
 
@@ -48,26 +49,27 @@ def learning_curves(robot: str, curves: Mapping[str, Sequence[Mapping[int, float
         robot: for the title.
         curves: agent → steps → score, of each of its runs, at steps that all of them have.
     """
+    numbers = {agent: _colour(agent, place) for place, agent in enumerate(curves)}
     means = {agent: curve_of(runs) for agent, runs in curves.items()}
     singles = {agent: [curve_of([run]) for run in runs] for agent, runs in curves.items()}
     every = [curve for own in singles.values() for curve in own]
     x, y = Scale(0.0, float(max(curve[-1].step for curve in every))), scale_of(every, may_bend=False)
     parts = [
-        f'<polyline class="{kind} stroke{number}" points="{_stretched(line(curve, x, y))}"/>'
+        f'<polyline class="{kind} stroke{numbers[agent]}" points="{_stretched(line(curve, x, y))}"/>'
         for kind, drawn in (("run", singles), ("line", {agent: [curve] for agent, curve in means.items()}))
-        for number, own in enumerate(drawn.values())
+        for agent, own in drawn.items()
         for curve in own
     ]
     parts += [  # a run that was measured once is a point
-        f'<circle class="fill{number}" cx="{x.at(point.step) * WIDTH / 100:.6g}" '
+        f'<circle class="fill{numbers[agent]}" cx="{x.at(point.step) * WIDTH / 100:.6g}" '
         f'cy="{HEIGHT - y.at(point.value.mean) * HEIGHT / 100:.6g}" r="3"/>'
-        for number, curve in enumerate(means.values())
+        for agent, curve in means.items()
         for point in curve
     ]
     parts += [_x_label(x.at(tick), f"{tick:,.0f}") for tick in x.ticks]
     parts.append(f'<text class="middle" x="{WIDTH / 2:g}" y="{HEIGHT + 36}">gradient steps</text>')
     about = "Score in the test dynamics: each run, and the mean over runs"
-    return _drawing(f"{robot}: learning curves", about, y, [_grid(y), *parts, _key(list(means))])
+    return _drawing(f"{robot}: learning curves", about, y, [_grid(y), *parts, _key(numbers)])
 
 
 def error_bars(robot: str, errors: Mapping[str, Estimate], unchanged: float | None = None) -> str:
@@ -138,11 +140,17 @@ def _x_label(place: float, text: str) -> str:
     return f'<text class="middle" x="{place * WIDTH / 100:g}" y="{HEIGHT + 18}">{html.escape(text)}</text>'
 
 
-def _key(names: Sequence[str]) -> str:
+def _colour(agent: str, place: int) -> int:
+    """The number of an agent's colour, the same on every drawing; of a name that is no agent's, that of its place."""
+    return (list(AGENTS).index(agent) if agent in AGENTS else place) % len(COLOURS)
+
+
+def _key(numbers: Mapping[str, int]) -> str:
+    """Names and the numbers of their colours, one under the other."""
     return "".join(
-        f'<rect class="fill{n}" x="{WIDTH + 14}" y="{8 + 20 * n}" width="12" height="12" rx="2"/>'
+        f'<rect class="fill{number}" x="{WIDTH + 14}" y="{8 + 20 * n}" width="12" height="12" rx="2"/>'
         f'<text x="{WIDTH + 32}" y="{18 + 20 * n}">{html.escape(name)}</text>'
-        for n, name in enumerate(names)
+        for n, (name, number) in enumerate(numbers.items())
     )
 
 

@@ -137,6 +137,30 @@ def kept_runs(group: str, folder: Path = FOLDER) -> list[Run]:
     return read_runs(folder / "runs" / group)
 
 
+def check_seeds(group: str, runs: Sequence[Run], fact: str) -> None:
+    """Check that runs of one value of a fact, on one robot, differ in their seed and in nothing else.
+
+    They are taken for seeds of one another in every mean and in every claim.
+
+    Raises:
+        ValueError: two of them have the same seed, or another setting; the message names both and the difference.
+    """
+    first: dict[tuple[str, str], Run] = {}
+    seeds: dict[tuple[str, str, int], str] = {}
+    for run in runs:
+        value = str(run.facts.get(fact)), run.facts["robot"]
+        other = first.setdefault(value, run)
+        differing = [key for key in {**other.facts, **run.facts} if other.facts.get(key) != run.facts.get(key)]
+        if differing:
+            raise ValueError(
+                f"{other.name} and {run.name} of the group {group!r} differ in {', '.join(differing)}: keep one of "
+                "them in a group of its own"
+            )
+        same = seeds.setdefault((*value, run.seed), run.name)
+        if same != run.name:
+            raise ValueError(f"{same} and {run.name} of the group {group!r} have the same seed: keep one of them")
+
+
 def kept_errors(group: str = REFERENCE, folder: Path = FOLDER) -> list[Errors]:
     """The next-state errors of a group's runs, by agent and robot.
 

@@ -50,7 +50,7 @@ def scores(entries: Sequence[Entry], track: str) -> str:
             lines.append([name, *(score_text(cell) for cell in cells)])
             lines.append(["interquartile mean [95 %]", *(iqm_text(cell) for cell in cells)])
         if name in published:
-            lines.append([f"*{name}, the paper*", *(_published(cell) for cell in published[name])])
+            lines.append([f"*{name}, the paper*", *(_published(cell, unknown="?") for cell in published[name])])
     return table(["", *ids.ROBOTS], lines)
 
 
@@ -119,7 +119,7 @@ def training(runs: Sequence[Run]) -> str:
             rate += f", falling to 0 in the last {config['decay_steps']:,}"
         mean = sum(hours) / len(hours)
         took = [f"{60 * mean:.1f} min", f"{WATTS * mean:.2f} Wh"]
-        commit = f"`{first.about['commit'][:7]}`"
+        commit = ", ".join(dict.fromkeys(f"`{run.about['commit'][:7]}`" for run in group.runs))
         cells = [escape(group.label), group.robot, seeds, f"{first.step:,}", f"{config['batch_size']}", rate]
         lines.append([*cells, *took, commit])
     header = ["agent", "robot", "seeds", "gradient steps", "batch", "learning rate", "wall clock", "energy", "commit"]
@@ -194,15 +194,17 @@ def compute(times: Mapping[str, float], published: str) -> str:
 
 
 def _final_texts(found: Scores) -> list[str]:
-    """A cell a robot: the mean over runs of their means over dynamics."""
-    return [
-        _estimate_text(estimate(found[robot].mean(axis=1).tolist()) if robot in found else None) for robot in ids.ROBOTS
-    ]
+    """A cell a robot: the mean over runs of their means over dynamics, and how many runs."""
+    cells = []
+    for robot in ids.ROBOTS:
+        own = found[robot].mean(axis=1).tolist() if robot in found else []
+        cells.append(f"{final_text(estimate(own))} ({len(own)} run{'s' * (len(own) != 1)})" if own else "–")
+    return cells
 
 
-def _published(score: Score | None) -> str:
+def _published(score: Score | None, unknown: str = "–") -> str:
     if score is None:
-        return "–"
+        return unknown
     return f"{score.mean:.2f} ± {score.std:.2f}"
 
 
@@ -218,4 +220,7 @@ def _evidence(one: Evidence) -> str:
         text += " [{:.2f}, {:.2f}]".format(*one.estimate.interval)
     fewest, most = sorted(one.runs)
     runs = f"{most} run{'s' * (most != 1)} each" if fewest == most else f"{one.runs[0]} and {one.runs[1]} runs"
-    return f"{text} ({', '.join(one.robots)}; {runs})"
+    at_least = "at least " if len(one.robots) > 1 else ""  # it is the number on the robot with fewest
+    if one.chance is not None:
+        text += f", as wide by chance p {f'= {one.chance:.3f}' if one.chance >= 0.001 else '< 0.001'}"
+    return f"{text} ({', '.join(one.robots)}; {at_least}{runs})"

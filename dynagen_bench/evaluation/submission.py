@@ -85,6 +85,8 @@ class Run(pydantic.BaseModel):
     """SHA-256 of the run's trace file; null if there is none, and the run stays self-reported."""
     curve: list[CurvePoint] = pydantic.Field(default=[], max_length=MAX_POINTS)
     """The learning curve, if given."""
+    commit: Commit | None = None
+    """The state of the code that made this run, where it is not that of all runs."""
 
     @property
     def trace_name(self) -> str:
@@ -126,7 +128,7 @@ class Submission(pydantic.BaseModel):
     paper: Link | None = None
     code: Link | None = None
     commit: Commit | None = None
-    """The state of the code that made the runs."""
+    """The state of the code that made the runs, those that do not tell one of their own."""
     track: Literal["zero-shot", "adaptation"]
     """`zero-shot` used no data of the test dynamics, `adaptation` was fine-tuned on the fixed small set of each."""
     checkpoint: Literal["last", "best"]
@@ -145,10 +147,17 @@ class Submission(pydantic.BaseModel):
     traces: SkipJsonSchema[None] = pydantic.Field(default=None, exclude=True)
     """Version 1 wrote it, always null."""
 
+    @property
+    def commits(self) -> list[str]:
+        """The states of the code that made the runs, as far as they are told; in the order of the runs."""
+        return list(dict.fromkeys(commit for run in self.runs if (commit := run.commit or self.commit)))
+
     @pydantic.model_validator(mode="after")
     def _version_has_the_fields(self) -> "Submission":
-        if self.format_version == 1 and (self.commands or any(run.trace or run.curve for run in self.runs)):
-            raise ValueError("format_version: 1 has no commands, traces and curves, write 2")
+        if self.format_version == 1 and (
+            self.commands or any(run.trace or run.curve or run.commit for run in self.runs)
+        ):
+            raise ValueError("format_version: 1 has no commands, traces, curves and commits of runs, write 2")
         return self
 
     @pydantic.model_validator(mode="after")

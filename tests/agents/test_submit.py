@@ -144,6 +144,16 @@ def test_the_commit_is_that_which_has_made_the_result(tmp_path, tiny_data):
         assert read_submission(tmp_path / track).commit == commit
 
 
+def test_runs_of_several_commits_tell_their_own(tmp_path):
+    folders = [run(tmp_path, seed=seed) for seed in (0, 1)]
+    for folder, commit in zip(folders, "ab", strict=True):
+        content = json.loads((folder / "config.json").read_text()) | {"commit": commit * 40}
+        (folder / "config.json").write_text(json.dumps(content))
+    submit(folders, tmp_path / "out", ["A. Name"])
+    made = read_submission(tmp_path / "out")
+    assert (made.commit, [one.commit for one in made.runs]) == (None, ["a" * 40, "b" * 40])
+
+
 def test_a_part_of_the_data_and_an_early_stop_are_told(tmp_path):
     # of learning rate 0 no return is better than the first, and of patience 2 the third step is the last one
     folder = run(tmp_path, steps=9, quality=0.3, hold_out=1, patience=2, options={"learning_rate": 0.0})

@@ -82,8 +82,14 @@ def edited(**changes):
     [
         (edited(format_version=3), "format_version: Input should be 1 or 2"),
         (edited(format_version="1"), "format_version: Input should be 1 or 2"),
-        (edited(commands=["python train.py"]), "format_version: 1 has no commands, traces and curves, write 2"),
-        (edited(runs__1__trace="0" * 64), "format_version: 1 has no commands, traces and curves, write 2"),
+        (
+            edited(commands=["python train.py"]),
+            "format_version: 1 has no commands, traces, curves and commits of runs, write 2",
+        ),
+        (
+            edited(runs__1__trace="0" * 64),
+            "format_version: 1 has no commands, traces, curves and commits of runs, write 2",
+        ),
         (edited(format_version=2, runs__1__trace="../other"), r"runs\.1\.trace: String should match pattern"),
         (edited(format_version=2, commands=["two\nlines"]), r"commands\.0: must be one line"),
         (

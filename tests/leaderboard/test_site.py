@@ -212,9 +212,12 @@ def slugs(tab, section="zero-shot-last"):
 
 
 def test_it_sorts_filters_and_compares_in_a_browser(tab):
-    for width in (390, 1280):
-        tab.set_viewport_size({"width": width, "height": 844})
-        assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    for opened in (False, True):
+        tab.evaluate("open => document.querySelectorAll('details').forEach(one => { one.open = open })", opened)
+        for width in (320, 390, 1280):
+            tab.set_viewport_size({"width": width, "height": 844})
+            assert tab.evaluate("document.documentElement.scrollWidth") <= width, (opened, width)
+    tab.evaluate("document.querySelectorAll('details').forEach(one => { one.open = false })")
     assert slugs(tab) == ["good", "partial", "poor"]
 
     hopper = tab.locator("#zero-shot-last th[data-column=Hopper]")

@@ -1,10 +1,12 @@
 """Submitting: two at once lose none, a kill leaves the board whole, and what was re-run is labelled so."""
 
+import hashlib
 import multiprocessing
 import os
 import signal
 
 import pytest
+import safetensors.numpy
 
 from dynagen_bench.datasets import scores
 from dynagen_bench.evaluation.submission import FILE_NAME, write_submission
@@ -13,6 +15,7 @@ from leaderboard.__main__ import main
 from leaderboard.board import PAGE, build, is_current, rerun, submit
 from leaderboard.entries import VERDICT, read_entries
 from tests.evaluation.samples import submission, traced
+from tests.leaderboard.cheats import TRACE
 
 FORK = multiprocessing.get_context("fork")
 
@@ -46,18 +49,83 @@ def test_one_run_under_two_seeds_is_one_run(tmp_path, board):
         submit(tmp_path / "mine", board)
 
 
+def test_a_comment_in_its_file_makes_no_other_run(cheat, board):
+    content = (cheat.folder / TRACE).read_bytes()
+    arrays = safetensors.numpy.load(content)
+    commented = safetensors.numpy.save(arrays, metadata={"run": "1"})
+    (cheat.folder / "traces" / "Hopper-seed1.safetensors").write_bytes(commented)
+    run = cheat.content["runs"][0]
+    cheat.content["runs"].append(run | {"seed": 1, "trace": hashlib.sha256(commented).hexdigest()})
+    cheat.write_trace(content)
+    with pytest.raises(ValueError, match=r"runs\.1: 100% of its episodes are those of its run 0: give a run once"):
+        submit(cheat.folder, board)
+
+
+def test_one_episode_that_is_anothers_makes_no_other_run(honest, cheat, board, capsys):
+    submit(honest, board)
+    cheat.content["agent"] = "another"
+    cheat.stand_still(7)
+    cheat.write()
+    assert main(["verify", str(cheat.folder)]) == 0  # its actions do give its returns
+    capsys.readouterr()
+    with pytest.raises(ValueError, match=r"runs\.0: 98% of its episodes are those of the entry '"):
+        submit(cheat.folder, board)
+
+
+def test_runs_that_were_made_later_join_the_entry(tmp_path, board):
+    first = traced(tmp_path / "first", seeds=(0, 1), commit="a" * 40, hours=1.0, commands=["one"])
+    submit(tmp_path / "first", board)
+    later = traced(tmp_path / "later", ("Hopper",), seeds=(2,), commit="b" * 40, hours=2.0, commands=["one", "two"])
+    entry = submit(tmp_path / "later", board, join=True)
+    assert entry.label == "replayed"
+    assert read_entries(board) == [entry]
+    assert [(run.seed, run.commit) for run in entry.submission.runs] == [(0, "a" * 40), (1, "a" * 40), (2, "b" * 40)]
+    assert (entry.submission.commit, entry.submission.hours) == (None, 3.0)
+    assert entry.submission.commands == ["one", "two"]
+    assert entry.submission.runs[2].evaluation == later.runs[0].evaluation
+    for made, run in ((first, first.runs[0]), (later, later.runs[0])):
+        stored = board / "entries" / entry.slug / run.trace_name
+        assert hashlib.sha256(stored.read_bytes()).hexdigest() == made.runs[0].trace
+    assert main(["verify", "--all", "--board", str(board)]) == 0
+    assert all(commit in (board / PAGE).read_text(encoding="utf-8") for commit in ("a" * 40, "b" * 40))
+
+
+@pytest.mark.parametrize(
+    ("seeds", "fields", "message"),
+    [
+        ((1,), {}, r"runs\.0: the entry has a run of Hopper with seed 1: leave it out, or replace the entry"),
+        (
+            (2,),
+            {"description": "More steps."},
+            r"description: it is 'More steps\.', the entry has '.*': write the same",
+        ),
+        ((2,), {"agent": "nobody"}, "has no entry 'nobody-zero-shot-last' to join: submit it without --join"),
+    ],
+)
+def test_what_does_not_belong_to_an_entry_does_not_join_it(tmp_path, board, seeds, fields, message):
+    traced(tmp_path / "first", seeds=(1,))
+    submit(tmp_path / "first", board)
+    before = (board / PAGE).read_bytes()
+    traced(tmp_path / "later", seeds=seeds, **fields)
+    with pytest.raises(ValueError, match=message):
+        submit(tmp_path / "later", board, join=True)
+    assert (board / PAGE).read_bytes() == before
+
+
 def test_the_episodes_of_another_agent_are_refused(tmp_path, board, capsys):
     traced(tmp_path / "first", agent="first")
     submit(tmp_path / "first", board)
     traced(tmp_path / "copied", agent="copied")
-    with pytest.raises(ValueError, match=r"runs\.0\.trace: these are the episodes of the entry 'first-zero-shot-last'"):
+    with pytest.raises(
+        ValueError, match=r"runs\.0: 100% of its episodes are those of the entry 'first-zero-shot-last'"
+    ):
         submit(tmp_path / "copied", board)
     traced(tmp_path / "best", agent="first", checkpoint="best")  # its last checkpoint may be its best
     submit(tmp_path / "best", board)
     place = board / "entries" / "copied-zero-shot-last"
     (tmp_path / "copied").rename(place)  # as a pull request could bring it
     assert main(["verify", "--all", "--board", str(board)]) == 2
-    assert "these are the episodes of the entry 'first-" in capsys.readouterr().err
+    assert "of its episodes are those of the entry 'first-" in capsys.readouterr().err
 
 
 def test_data_of_the_test_dynamics_are_adaptation(tmp_path, board):

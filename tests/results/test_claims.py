@@ -1,6 +1,7 @@
 """Verdicts on the paper's claims, by hand."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from leaderboard.entries import Entry
 from leaderboard.statistics import Estimate
 from results import tables
-from results.claims import Evidence, claims, final_scores, spread_by_chance
+from results.claims import Evidence, _robust, claims, final_scores, spread_by_chance
 from results.kept import Errors, keep, kept_runs
 from tests.evaluation.samples import submission
 
@@ -119,7 +120,38 @@ def test_a_weight_that_matters_is_found(weights):
     found = verdicts(groups=groups)[ROBUST]
     # 6 of the 1,680 ways to deal nine runs to three values spread them as wide: 0.0036
     assert found.verdict == "does not hold"
-    assert found.evidence[0].what == "of 3 values, a spread as wide by chance: 0.00; λ = 1.0 > λ = 0.01"
+    assert found.evidence[0].what == "best − worst of 3 values of λ (1.0, 0.01), points"
+    # each of the three values' means is of three runs that lie two points apart at most
+    assert found.evidence[0].estimate == Estimate(40.0, (pytest.approx(38.7, abs=0.1), pytest.approx(41.3, abs=0.1)))
+    line = tables.verdicts([found])
+    assert re.search(r"40\.00 \[38\.\d+, 41\.\d+\], as wide by chance p = 0\.00[2-6] \(Hopper; 3 runs each\)", line)
+
+
+def test_two_runs_of_a_weight_decide_nothing(weights):
+    far = {0.01: [10.0, 11.0], 1.0: [50.0, 51.0], 0.1: [30.0, 31.0, 30.0], 0.5: [20.0, 21.0, 20.0]}
+    assert verdicts(groups=weights(far))[ROBUST].verdict == "undecided"
+
+
+def test_weights_are_compared_on_the_robots_that_all_have(trained, tmp_path):
+    scores = {("Hopper", 0.01): 90.0, ("Hopper", 0.05): 60.0, ("Hopper", 1.0): 30.0, ("Ant", 0.05): 99.0}
+    for (robot, weight), score in scores.items():
+        runs = [trained("dadt", seed, robot=robot, score=score + seed, next_state_weight=weight) for seed in range(3)]
+        keep(runs, "next-state-weight", tmp_path / "kept")
+    found = verdicts(groups={"next-state-weight": kept_runs("next-state-weight", tmp_path / "kept")})[ROBUST]
+    assert found.evidence[0].robots == ("Hopper",)
+    assert "(0.01, 1.0)" in found.evidence[0].what  # and not 0.05, the best where others have not been run
+    assert found.evidence[0].estimate.value == 60.0
+
+
+def test_equal_weights_are_told_to_be_equal_where_runs_differ_little():
+    rng = np.random.default_rng(0)
+
+    def told(deviation, runs):
+        groups = [{f"{v}": {"Hopper": rng.normal(50, deviation, (runs, 1))} for v in range(5)} for _ in range(40)]
+        return [_robust(of).verdict for of in groups]
+
+    assert told(1.0, 3).count("holds") > 30
+    assert set(told(15.0, 3)) <= {"undecided", "does not hold"}
 
 
 def test_few_mixed_runs_do_not_show_that_a_weight_does_not_matter(weights):

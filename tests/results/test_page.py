@@ -1,11 +1,13 @@
 """docs/results.md: every table, from kept runs and a board; the same bytes again; drawings that are XML."""
 
 import json
+import re
 import xml.etree.ElementTree as ElementTree
 
 import pytest
 
 import results.__main__ as command
+from agents import AGENTS
 from agents.summary.intervals import Estimate
 from agents.summary.runs import read_runs
 from leaderboard.board import submit
@@ -77,14 +79,40 @@ def test_a_schedule_of_the_learning_rate_is_told(trained):
 
 def test_low_quality_data_and_weights_stand_beside_what_they_are_compared_with(made):
     lines = made[PAGE].splitlines()
-    place = lines.index("| dadt | – | 21.00 ± 1.41 | – | – | – |")  # 20 and 22
+    place = lines.index("| dadt | – | 21.00 ± 1.41 (2 runs) | – | – | – |")  # 20 and 22
     on_all_data = lines[place + 1]
     assert on_all_data.startswith("| on all data | – | ")
     score = float(on_all_data.split("|")[3].split("±")[0])
     assert f"| DADT | – | {score:.2f} ± " in made[PAGE]  # as on the board
-    assert "| mlp | – | 5 | – | – | – |" in lines  # no entry of the board to stand beside
-    assert "| 0.1 | – | 32.00 ± 2.83 | – | – | – | 45.97 ± 20.93 |" in lines
+    assert "| mlp | – | 5 (1 run) | – | – | – |" in lines  # no entry of the board to stand beside
+    assert "| 0.1 | – | 32.00 ± 2.83 (2 runs) | – | – | – | 45.97 ± 20.93 |" in lines
     assert "| 1.0 | – | – | – | – | – | 44.10 ± 19.55 |" in lines
+
+
+def test_all_that_was_run_is_listed(made):
+    told = made[PAGE].split("## What was run")[1]
+    for part in ("On low-quality data:", "By the weight of the next state's error:"):
+        assert "| dadt | Hopper | 0, 1 | 200 | 64 | 0.001 " in told.split(part)[1]
+
+
+@pytest.mark.parametrize(
+    ("seeds", "changes", "message"),
+    [
+        ((0, 1), {"decay_steps": 50}, "differ in decay_steps: keep one of them in a group of its own"),
+        ((1, 1), {}, "of the group 'reference' have the same seed: keep one of them"),
+    ],
+)
+def test_what_is_no_other_seed_of_a_run_is_not_taken_for_one(trained, tmp_path, seeds, changes, message):
+    (tmp_path / "board").mkdir()
+    keep([trained("dadt", seeds[0]), trained("dadt", seeds[1], **changes)], "reference", tmp_path / "kept")
+    with pytest.raises(ValueError, match=message):
+        pages(tmp_path / "board", tmp_path / "kept")
+
+
+def test_runs_of_several_commits_tell_all_of_them(trained):
+    trained("dt", 0)
+    folder = trained("dt", 1, commit="b" * 40)
+    assert "| `aaaaaaa`, `bbbbbbb` |" in training(read_runs(folder.parent))
 
 
 def test_the_drawings_are_in_the_page_and_are_xml(made):
@@ -112,6 +140,11 @@ def test_check_sees_a_page_that_is_stale(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit, match=r"results\.md is stale: run `python -m results build`"):
         command.main(["build", "--check"])
     assert (tmp_path / PAGE).read_text() == "old"
+    monkeypatch.setattr(command, "pages", lambda: {PAGE: "old"})
+    with pytest.raises(SystemExit, match=r"a\.svg is a drawing of nothing that is kept: run"):
+        command.main(["build", "--check"])
+    command.main(["build"])
+    assert not (tmp_path / "results" / "a.svg").exists()
 
 
 def test_a_point_of_a_curve_lies_where_it_should():
@@ -125,7 +158,14 @@ def test_a_point_of_a_curve_lies_where_it_should():
 
 def test_a_run_that_was_measured_once_is_a_point():
     drawing = learning_curves("Hopper", {"dt": [{0: 0.0, 100: 100.0}], "merpo": [{50: 50.0}]})
-    assert '<circle class="fill1" cx="280" cy="120" r="3"/>' in drawing
+    assert '<circle class="fill4" cx="280" cy="120" r="3"/>' in drawing
+
+
+def test_an_agent_has_one_colour_on_every_drawing():
+    for agents in (["dadt", "transformer_bc"], ["transformer_bc"], list(AGENTS)):
+        drawing = learning_curves("Hopper", {agent: [{0: 0.0, 100: 50.0}] for agent in agents})
+        assert 'class="line stroke6"' in drawing
+        assert drawing.count('class="line') == len({*re.findall(r'class="line (stroke\d+)"', drawing)}) == len(agents)
 
 
 def test_what_has_to_be_beaten_is_a_line():
