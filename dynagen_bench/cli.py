@@ -183,6 +183,7 @@ def collect(
     """
     names = [ids.parse_label(robot, label) for label in labels] or list(ids.dynamics_ids(robot))
     collect_runs(names, changed_settings(robot, change), folder, processes, ray)
+    sys.stdout.write(f"{len(names)} runs of {robot} are in {folder}\n")
 
 
 def data_build(
