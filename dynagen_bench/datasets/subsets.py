@@ -43,7 +43,7 @@ def check_quality(quality: float) -> None:
 
 
 def check_episodes(count: int, most: int | None = None) -> int:
-    """Return a number of episodes as a plain int; raise ValueError unless it is a whole one, from 1 to `most` if given."""
+    """Return a number of episodes as a plain int; raise ValueError unless it is a whole one from 1 to `most`."""
     number = whole_number(count)
     if number is None or number < 1 or (most is not None and number > most):
         to = "on" if most is None else f"to {most}, all there are"
