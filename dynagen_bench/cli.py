@@ -276,7 +276,7 @@ def data_card_page(robot: Robot, output: Path | None = None) -> None:
 def baseline(
     robots: Annotated[list[str], tyro.conf.Positional],
     output: Path,
-    policy: Literal["random", "behaviour", "expert"] = "random",
+    policy: Literal["random", "zero", "behaviour", "expert"] = "random",
     runs: int = 5,
 ) -> None:
     """Evaluate a baseline in the test dynamics of robots, and write it as a submission with traces.
@@ -284,7 +284,8 @@ def baseline(
     Args:
         robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
         output: the folder of the submission.
-        policy: random, behaviour (what made the test dynamics' data), or expert (the best of those; one run).
+        policy: random, zero (no action at all), behaviour (what made the test dynamics' data), or expert (the best of
+            those); zero and expert have one run.
         runs: seeds of each robot.
     """
     write_submission(output, *baseline_submission(policy, robots, runs))
