@@ -15,7 +15,11 @@ for walker_rand_params. `variant="as_released"` keeps three things that are not 
 is on its output, where the paper and BRAC have its gradient; a batch never has two sets of one dynamics, so that the
 first half of the distance metric loss is never there; and α is clipped where it is used but not where it is kept, so
 that it winds up. Other differences: all losses of an update are taken at the same parameters, and one step of c at
-3e-4 stands for its three of 1e-4; states are normalised by mean and deviation, and not by their largest.
+3e-4 stands for its three of 1e-4; states are normalised by mean and deviation, and not by their largest; the last step
+of an episode is terminal where the robot fell alone, there where it was cut off too; there is no penalty on the value,
+which its configs of other tasks have; and Walker's numbers serve every robot, where its hopper_rand_params.json has ten
+tasks a batch and an α from 500 to 2000. Actions are the robot's own: SlimHumanoid's are within ±0.4, so that its
+divergences come out at about half of what they would be in shares of that.
 
 It is tested in two ways, which are reported apart: with the transitions of the episode so far (`policy`), as the
 sequence agents are, or with data of the test dynamics (`policy_given`), as in its paper, which is privileged.

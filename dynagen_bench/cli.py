@@ -183,6 +183,7 @@ def collect(
     """
     names = [ids.parse_label(robot, label) for label in labels] or list(ids.dynamics_ids(robot))
     collect_runs(names, changed_settings(robot, change), folder, processes, ray)
+    sys.stdout.write(f"{len(names)} runs of {robot} are in {folder}\n")
 
 
 def data_build(
@@ -275,7 +276,7 @@ def data_card_page(robot: Robot, output: Path | None = None) -> None:
 def baseline(
     robots: Annotated[list[str], tyro.conf.Positional],
     output: Path,
-    policy: Literal["random", "behaviour", "expert"] = "random",
+    policy: Literal["random", "zero", "behaviour", "expert"] = "random",
     runs: int = 5,
 ) -> None:
     """Evaluate a baseline in the test dynamics of robots, and write it as a submission with traces.
@@ -283,7 +284,8 @@ def baseline(
     Args:
         robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
         output: the folder of the submission.
-        policy: random, behaviour (what made the test dynamics' data), or expert (the best of those; one run).
+        policy: random, zero (no action at all), behaviour (what made the test dynamics' data), or expert (the best of
+            those); zero and expert have one run.
         runs: seeds of each robot.
     """
     write_submission(output, *baseline_submission(policy, robots, runs))

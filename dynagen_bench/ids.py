@@ -54,11 +54,15 @@ class DynamicsId:
     def part_id(self, every: int) -> str:
         """Minari's id of the part of the data that has every n-th snapshot, `dynagen/Hopper-RandDyn/test3-every4-v0`.
 
-        A part has a name of its own, so that it lies beside the whole and is never taken for it; 1 is the whole.
+        A part has a name of its own, so that it lies beside the whole and is never taken for it; 1 is the whole. Raises
+        ValueError for what is no such n.
         """
-        if every == 1:
+        number = whole_number(every)
+        if number is None or number < 1:
+            raise ValueError(f"every is {every!r}: give a whole number from 1 on, 4 for one in four snapshots")
+        if number == 1:
             return self.dataset_id
-        return f"{NAMESPACE}/{self.robot}-RandDyn/{self.label}-every{every}-v{VERSION}"
+        return f"{NAMESPACE}/{self.robot}-RandDyn/{self.label}-every{number}-v{VERSION}"
 
 
 def check_robot(robot: str) -> str:

@@ -5,13 +5,14 @@ know what is in them.
 
 Beside a folder `name` there may be, hidden so that no listing of datasets sees them:
 
-    .name.lock        held (flock) by the process that makes or checks it; the kernel lets go when that process dies
-    .name.unfinished  what is being written; thrown away by whoever makes the folder next
-    .name.replaced    the one before, for a moment; put back by whoever makes the folder next if `name` is not there
+    .name.lock            held (flock) by the process that makes or checks it; the kernel lets go when that process dies
+    .name.PID.unfinished  what process PID is writing; thrown away by whoever makes the folder next
+    .name.replaced        the one before, for a moment; put back by whoever makes the folder next if `name` is not there
 """
 
 import contextlib
 import fcntl
+import glob
 import os
 import shutil
 from collections.abc import Iterator
@@ -44,10 +45,14 @@ def whole_file(path: Path) -> Iterator[Path]:
 @contextlib.contextmanager
 def exclusively(folder: Path) -> Iterator[None]:
     """Be the only process that makes or checks `folder` (or a file); waits until no other one does."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with (folder.parent / f".{folder.name}.lock").open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+    lock = folder.parent / f".{folder.name}.lock"
+    while True:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with lock.open("w") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            if _is_at(lock, os.fstat(file.fileno())):  # else it was removed while this process waited: nobody's lock
+                yield
+                return
 
 
 @contextlib.contextmanager
@@ -56,9 +61,11 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 
     The caller holds `exclusively(folder)`. After an error nothing is left, and `folder` is what it was.
     """
-    unfinished, replaced = (folder.with_name(f".{folder.name}.{state}") for state in ("unfinished", "replaced"))
+    # a name of this process's own: where somebody has removed the lock, two may be here, and neither takes the other's
+    unfinished = folder.with_name(f".{folder.name}.{os.getpid()}.unfinished")
+    replaced = folder.with_name(f".{folder.name}.replaced")
     _put_back(replaced, folder)
-    for leftover in (unfinished, replaced):
+    for leftover in (replaced, *folder.parent.glob(f".{glob.escape(folder.name)}.*unfinished")):
         shutil.rmtree(leftover, ignore_errors=True)
     unfinished.mkdir(parents=True)
     try:
@@ -71,6 +78,14 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(unfinished, ignore_errors=True)
         raise
     shutil.rmtree(replaced, ignore_errors=True)
+
+
+def _is_at(path: Path, file: os.stat_result) -> bool:
+    """Whether a path still names this file."""
+    try:
+        return os.path.samestat(path.stat(), file)
+    except FileNotFoundError:
+        return False
 
 
 def _put_back(replaced: Path, folder: Path) -> None:

@@ -172,7 +172,9 @@ def _scores(entries: Sequence[Entry]) -> list[str]:
         "## Scores without adaptation\n\nThe counterpart of the paper's Tables 1, 2 and 7.\n",
         tables.scores(entries, "zero-shot"),
         "## Scores after adaptation\n\nThe counterpart of the paper's Tables 1 and 7. FOCAL takes no gradient step: "
-        "it is given the\nepisodes that the others are fine-tuned on.\n",
+        "it is given the\nepisodes that the others are fine-tuned on. The others' steps differ, which "
+        "[LEADERBOARD.md](../leaderboard/LEADERBOARD.md)\ntells of each entry, and DADT's alone were chosen by "
+        "held-out dynamics: these are numbers of unequal effort.\n",
         tables.scores(entries, "adaptation"),
     ]
 

@@ -3,10 +3,12 @@
 What is here: a function a table. Called by the page. It must not read files.
 """
 
+import dataclasses
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
+from agents import TRAINABLE
 from agents.evaluate import COMPARED
 from agents.summary.builder import final_text
 from agents.summary.intervals import Estimate, estimate
@@ -121,9 +123,21 @@ def training(runs: Sequence[Run]) -> str:
         took = [f"{60 * mean:.1f} min", f"{WATTS * mean:.2f} Wh"]
         commit = ", ".join(dict.fromkeys(f"`{run.about['commit'][:7]}`" for run in group.runs))
         cells = [escape(group.label), group.robot, seeds, f"{first.step:,}", f"{config['batch_size']}", rate]
-        lines.append([*cells, *took, commit])
-    header = ["agent", "robot", "seeds", "gradient steps", "batch", "learning rate", "wall clock", "energy", "commit"]
-    return table(header, lines, numbers_from=None)
+        lines.append([*cells, escape(_other_settings(first)), *took, commit])
+    header = ["agent", "robot", "seeds", "gradient steps", "batch", "learning rate", "else changed"]
+    return table([*header, "wall clock", "energy", "commit"], lines, numbers_from=None)
+
+
+TOLD: Final = ("steps", "batch_size", "learning_rate", "warmup_steps", "decay_steps", "precision")
+"""What has columns of its own, and what a machine chooses."""
+
+
+def _other_settings(run: Run) -> str:
+    """What else of a run's config is not its agent's default, as `--` options; – for nothing."""
+    config = run.about["config"]
+    usual = dataclasses.asdict(TRAINABLE[run.about["agent"]][0]().for_robot(run.facts["robot"]))
+    changed = {key: value for key, value in config.items() if key not in TOLD and value != usual.get(key, value)}
+    return ", ".join(f"{key.replace('_', '-')} {value}" for key, value in changed.items()) or "–"
 
 
 def cost(times: Mapping[str, float]) -> str:

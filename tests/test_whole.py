@@ -1,7 +1,11 @@
 """A file or folder appears whole or not at all."""
 
+import contextlib
+import multiprocessing
 import os
+import shutil
 import threading
+import time
 
 import pytest
 
@@ -63,7 +67,7 @@ def test_the_old_folder_comes_back_when_the_new_one_cannot_have_its_name(tmp_pat
     replace = os.replace
 
     def failing(source, target):
-        if source.name == ".data.unfinished":
+        if source.name.endswith(".unfinished"):
             raise OSError("no rename")
         replace(source, target)
 
@@ -72,6 +76,47 @@ def test_the_old_folder_comes_back_when_the_new_one_cannot_have_its_name(tmp_pat
         (unfinished / "new").touch()
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
     assert [path.name for path in folder.iterdir()] == ["old"]
+
+
+def test_two_that_a_removed_lock_no_longer_parts_take_nothing_of_each_other(tmp_path):
+    folder = tmp_path / "cache" / "data"
+    pipe, theirs = multiprocessing.Pipe()
+
+    def slowly():
+        with exclusively(folder), contextlib.suppress(FileNotFoundError), whole_folder(folder) as unfinished:
+            (unfinished / "first half").touch()
+            theirs.send("begun")
+            theirs.recv()
+            (unfinished / "second half").touch()
+
+    child = multiprocessing.get_context("fork").Process(target=slowly)
+    child.start()
+    assert pipe.recv() == "begun"
+    shutil.rmtree(tmp_path / "cache")  # as a user empties a cache
+    with exclusively(folder), whole_folder(folder) as unfinished:
+        for half in ("first half", "second half"):
+            (unfinished / half).touch()
+            pipe.send("go on")
+            child.join(10)
+    assert sorted(path.name for path in folder.iterdir()) == ["first half", "second half"]
+
+
+def test_who_waits_for_a_lock_that_is_removed_takes_the_new_one(tmp_path):
+    folder, inside = tmp_path / "data", []
+
+    def enter():
+        with exclusively(folder):
+            inside.append(len(inside))
+
+    with exclusively(folder):
+        waiting = threading.Thread(target=enter)
+        waiting.start()
+        time.sleep(0.2)
+        (tmp_path / ".data.lock").unlink()
+        (tmp_path / ".data.lock").touch()
+        assert inside == []
+    waiting.join(10)
+    assert inside == [0]
 
 
 def test_only_one_makes_a_folder_at_a_time(tmp_path):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from dynagen_bench import ids
-from dynagen_bench.collection.policies import policy_file
+from dynagen_bench.collection.policies import load_policies, policy_file
 from dynagen_bench.collection.settings import SACSettings
 from dynagen_bench.jobs import Job, run_jobs
 
@@ -38,18 +38,34 @@ def collect(
         ray: None runs them here; "local" or the address of a cluster runs them on Ray.
 
     Raises:
-        ValueError: `processes` makes no sense, or one of `names` is of a nominal robot.
+        ValueError: `processes` makes no sense, one of `names` is of a nominal robot, or `folder` has a run of other
+            settings.
         RuntimeError: the [collect] extra is not installed, or some runs failed; then the message names them, and the
             others have finished.
     """
     if any(name.split == "nominal" for name in names):
         raise ValueError("no data are made in the nominal robots: write train0 to train19, test0 to test4")
     todo = missing_runs(names, folder)
+    for name in names:
+        if name not in todo:
+            _check_settings(policy_file(name, folder), settings)
     if not todo:
         return
     if importlib.util.find_spec("sbx") is None:
         raise RuntimeError("training behaviour policies needs more packages: pip install 'dynagen-bench[collect]'")
     run_jobs([run_job(name, settings) for name in todo], folder, processes=processes, ray=ray)
+
+
+def _check_settings(file: Path, settings: SACSettings) -> None:
+    """Raise ValueError if a stored run was trained with other settings: it would be taken for one of these."""
+    try:
+        stored = load_policies(file)[1]["settings"]
+    except (ValueError, KeyError):  # damaged: it is no run of any settings, and building the data says so
+        return
+    wanted = dataclasses.asdict(settings)
+    changed = [f"{field}={stored.get(field)}" for field, value in wanted.items() if stored.get(field) != value]
+    if changed:
+        raise ValueError(f"{file} was trained with {', '.join(changed)}: give another --folder for other settings")
 
 
 def run_job(name: ids.DynamicsId, settings: SACSettings) -> Job:

@@ -11,7 +11,7 @@ Free space inside an HDF5 file, and texts such as the description, may change: n
 import json
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import gymnasium
 import h5py
@@ -48,7 +48,11 @@ def check_dataset(
     dataset_id = name.part_id(every)
     record = read_record(folder)
     try:
-        problem = _metadata_problem(folder, name, every, record) or _content_problem(folder, name, record)
+        problem = (
+            _metadata_problem(folder, name, every, record)
+            or _content_problem(folder, name, record)
+            or _reference_problem(folder, every, record)
+        )
     except Exception as error:  # a changed byte makes h5py, numpy or Minari fail in any way they can
         reason = next(iter(str(error).splitlines()), "no reason given")
         problem = f"it cannot be read, {type(error).__name__}: {reason}"
@@ -101,10 +105,24 @@ def _metadata_problem(folder: Path, name: ids.DynamicsId, every: int, record: Da
     return None
 
 
-def _made_by(env_spec: str) -> tuple[Any, Any]:
-    """Id and arguments of an environment; the other fields of a spec may change between releases of Gymnasium."""
+MADE_BY: Final = (
+    "id",
+    "kwargs",
+    "entry_point",
+    "vector_entry_point",
+    "max_episode_steps",
+    "additional_wrappers",
+    "order_enforce",
+    "nondeterministic",
+    "reward_threshold",
+)
+"""Fields of an environment's spec that decide what `recover_environment` makes, and runs: an entry point is any code.
+Others may change between releases of Gymnasium."""
+
+
+def _made_by(env_spec: str) -> dict[str, Any]:
     spec = json.loads(env_spec)
-    return spec["id"], spec["kwargs"]
+    return {field: spec.get(field) for field in MADE_BY}
 
 
 def _content_problem(folder: Path, name: ids.DynamicsId, record: DatasetRecord) -> str | None:
@@ -123,6 +141,14 @@ def _content_problem(folder: Path, name: ids.DynamicsId, record: DatasetRecord) 
     if (dict(record.returns), record.steps) != (returns_summary(returns), sum(map(len, episodes))):
         return "its returns or number of steps are not those that it records"
     return _episode_problem(folder, name, record, episodes)
+
+
+def _reference_problem(folder: Path, every: int, record: DatasetRecord) -> str | None:
+    """What is wrong with what Minari normalises scores by; a part's are those of the whole data, which are not here."""
+    metadata, own = MinariStorage.read(folder / "data").metadata, (record.returns["min"], record.returns["max"])
+    if every == 1 and (metadata["ref_min_score"], metadata["ref_max_score"]) != own:
+        return "its reference scores are not the lowest and the highest of its returns"
+    return None
 
 
 def _episode_problem(folder: Path, name: ids.DynamicsId, record: DatasetRecord, episodes: list[Episode]) -> str | None:

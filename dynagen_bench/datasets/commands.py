@@ -55,7 +55,7 @@ def build(
 
     Raises:
         FileNotFoundError: a robot has no stored policies.
-        ValueError: an unknown robot or none, or a dataset is not the official one.
+        ValueError: an unknown robot or none, or a dataset is not the official one; all have been made then.
     """
     names = _chosen(robots, ())
     for name in names:  # before the first of them is built
@@ -63,6 +63,7 @@ def build(
     foreign = records == RECORDS and policies_folder.resolve() != POLICY_FOLDER.resolve()
     manifest = {} if write_manifest or foreign else read_manifest(records)
     made: dict[ids.DynamicsId, DatasetRecord] = {}
+    faults: list[str] = []
     with _bars() as bars:
         whole = bars.add_task("datasets", total=len(names))
         for name in names:
@@ -80,12 +81,19 @@ def build(
             bars.remove_task(task)
             bars.advance(whole)
             if official:
-                check_official(name.part_id(every), made[name], official)
+                try:
+                    check_official(name.part_id(every), made[name], official)
+                except ValueError as fault:  # the others are made all the same: they are data, if not official ones
+                    faults.append(str(fault))
     if write_manifest:
         _write_records(made, every, records)
     elif foreign:
         _say(f"made from the policies in {policies_folder}, and not held against the manifest: `differs` is no fault")
     _show({name.part_id(every): record for name, record in made.items()}, records)
+    if faults:
+        raise ValueError(
+            f"{faults[0]}. {len(faults)} of {len(names)} datasets differ; official ones come by `dynagen data download`"
+        )
 
 
 def list_datasets(records: Path = RECORDS) -> None:
@@ -93,7 +101,12 @@ def list_datasets(records: Path = RECORDS) -> None:
 
     Their content is `official` (the manifest's), `differs` (another than the manifest's) or `unlisted` (not in it).
     """
-    found = {name: read_record(dataset_folder(name)) for name in minari.list_local_datasets(prefix=ids.NAMESPACE)}
+    found = {}
+    for dataset_id in minari.list_local_datasets(prefix=ids.NAMESPACE):
+        try:
+            found[dataset_id] = read_record(dataset_folder(dataset_id))
+        except ValueError:
+            _say(f"{dataset_id} is none of this benchmark's datasets, or damaged")
     if found:
         _show(found, records)
     else:
@@ -209,22 +222,22 @@ def publish(
         raise ValueError(f"both --output {output} and --remote {remote} are given: publish to one after the other")
     names = _chosen(robots, labels)
     target = connect(remote) if output is None else None
-    found = _publishable(names, every, unofficial, records)
+    found, manifest = _publishable(names, every, unofficial, records), read_manifest(records)
+    official = {key for key, record in found.items() if key in manifest and manifest[key].sha256 == record.sha256}
     if target is None:
         assert output is not None
         with _bars() as bars:
             task = bars.add_task("writing", total=len(found))
-            add_to_tree(output, list(found), lambda: bars.advance(task))
+            add_to_tree(output, found, official, lambda: bars.advance(task))
         _say(f"{len(found)} datasets are in {output}")
         return
-    manifest, sent = read_manifest(records), 0
+    sent = 0
     with _bars() as bars:
         whole = bars.add_task("datasets", total=len(found))
         send_namespaces(target, _namespaces(found))
         for dataset_id, record in found.items():
-            official = dataset_id in manifest and manifest[dataset_id].sha256 == record.sha256
             bars.update(whole, description=f"uploading {dataset_id}")
-            sent += send_dataset(target, dataset_id, record, replace=official)
+            sent += send_dataset(target, dataset_id, record, replace=dataset_id in official)
             bars.advance(whole)
     _say(f"{sent} datasets were sent to {target.address}, {len(found) - sent} were there")
 
@@ -332,4 +345,7 @@ def _show(found: dict[str, DatasetRecord], records: Path) -> None:
         content = "unlisted" if entry is None else "official" if entry.sha256 == record.sha256 else "differs"
         returns = [f"{record.returns[field]:.0f}" for field in ("min", "mean", "max")]
         table.add_row(dataset_id, f"{record.steps}", *returns, content)
-    rich.console.Console().print(table)
+    console = rich.console.Console()
+    if not console.is_terminal:  # a file or a pipe has no edge at which to cut
+        console.width = max(console.width, console.measure(table).maximum)
+    console.print(table)

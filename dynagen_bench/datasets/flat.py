@@ -32,7 +32,13 @@ from dynagen_bench import ids
 from dynagen_bench.collection.contents import DatasetRecord, dataset_folder, read_record
 from dynagen_bench.datasets.flat_files import Source, cache_folder, map_arrays
 from dynagen_bench.datasets.normalization import Normalization, statistics
-from dynagen_bench.datasets.subsets import ADAPTATION_EPISODES, spread_episodes, worst_episodes
+from dynagen_bench.datasets.subsets import (
+    ADAPTATION_EPISODES,
+    check_episodes,
+    check_quality,
+    spread_episodes,
+    worst_episodes,
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -174,6 +180,8 @@ def load_dataset(
         raise ValueError(
             f"quality is of train data, not of split {split!r}: the paper's test and adaptation data stay as they are"
         )
+    if quality is not None:
+        check_quality(quality)  # before arrays are made
     records = {name: checked_record(name, every) for name in names}
     foreign = sorted({record.mujoco for record in records.values()} - {version("mujoco")})
     if foreign:
@@ -217,6 +225,7 @@ def load_adaptation(
         FileNotFoundError: a dataset is missing; the message has the command that makes it.
     """
     ids.make_id(robot, split, index)
+    check_episodes(episodes)  # before arrays are made
     data = load_dataset(robot, split, every=every, progress=progress)
     numbers = np.flatnonzero(data.episode_dynamics == index)
     return data.select(numbers[spread_episodes(data.episode_returns[numbers], episodes)])

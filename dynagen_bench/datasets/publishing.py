@@ -15,34 +15,60 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from minari.namespace import NAMESPACE_METADATA_FILENAME
 
 from dynagen_bench import ids
-from dynagen_bench.collection.contents import DatasetRecord, dataset_folder
+from dynagen_bench.collection.contents import DatasetRecord, dataset_folder, read_record
 from dynagen_bench.datasets.remotes import Remote, namespace_of, own_metadata
 from dynagen_bench.whole import exclusively, whole_file, whole_folder
 
 
-def add_to_tree(tree: Path, dataset_ids: Sequence[str], progress: Callable[[], None] = lambda: None) -> None:
+def add_to_tree(
+    tree: Path,
+    found: Mapping[str, DatasetRecord],
+    official: Container[str],
+    progress: Callable[[], None] = lambda: None,
+) -> None:
     """Put datasets of this machine into a tree, beside those that it has, and their namespaces.
 
-    The files are hard links where the file system can, and take no space. `progress` is called with each dataset.
+    The files are hard links where the file system can, and take no space.
+
+    Args:
+        tree: its folder.
+        found: ids of the datasets, and their records.
+        official: ids of those that may take the place of other data in the tree.
+        progress: called with each dataset.
+
+    Raises:
+        ValueError: the tree has other data under an id that is not official; what comes before it is there.
     """
     with exclusively(tree):  # its lock lies beside the tree, not in it
-        for dataset_id in dataset_ids:
+        for dataset_id, record in found.items():
+            if dataset_id not in official:
+                _check_no_other(tree / dataset_id, record)
             with whole_folder(tree / dataset_id) as unfinished:
                 shutil.copytree(dataset_folder(dataset_id), unfinished, copy_function=_link, dirs_exist_ok=True)
             progress()
-        for namespace in sorted({namespace_of(dataset_id) for dataset_id in dataset_ids}):
+        for namespace in sorted({namespace_of(dataset_id) for dataset_id in found}):
             _write_namespace(tree, namespace, _local_metadata(namespace))
-        found = tree.glob(f"{ids.NAMESPACE}/*/[!.]*/data")
-        datasets = sorted(path.parent.relative_to(tree).as_posix() for path in found)
+        there = tree.glob(f"{ids.NAMESPACE}/*/[!.]*/data")
+        datasets = sorted(path.parent.relative_to(tree).as_posix() for path in there)
         listing = {"datasets": datasets, "namespaces": sorted({namespace_of(dataset_id) for dataset_id in datasets})}
         _write_namespace(tree, ids.NAMESPACE, {**_local_metadata(ids.NAMESPACE), **listing})
+
+
+def _check_no_other(folder: Path, record: DatasetRecord) -> None:
+    """Raise ValueError if there is a dataset of other content in a folder; one that cannot be read is none."""
+    try:
+        found = read_record(folder).sha256
+    except (FileNotFoundError, ValueError):
+        return
+    if found != record.sha256:
+        raise ValueError(f"{folder} is another dataset, sha256 {found[:12]}: only official data replace one")
 
 
 def send_namespaces(remote: Remote, namespaces: Sequence[str]) -> None:

@@ -37,7 +37,11 @@ class StepIndex:
         self.ends = np.cumsum(self._lengths)
 
     def find(self, steps: NDArray[np.int64]) -> Places:
-        """The places of steps (...)."""
+        """The places of steps (...); raises ValueError if the data have not so many."""
+        outside = (steps < 0) | (steps >= self.ends[-1])
+        if outside.any():
+            step = int(np.asarray(steps)[outside][0])
+            raise ValueError(f"there is no step {step}: give numbers from 0 to {self.ends[-1] - 1}")
         episodes = np.searchsorted(self.ends, steps, side="right")
         timesteps = steps - (self.ends[episodes] - self._lengths[episodes])
         return Places(episodes, timesteps, self._starts[episodes] + timesteps)

@@ -38,8 +38,17 @@ def worst_episodes(returns: NDArray[np.floating[Any]], quality: float) -> NDArra
 
 def check_quality(quality: float) -> None:
     """Raise ValueError unless it is a share of the episodes, above 0 and at most 1."""
-    if isinstance(quality, bool) or not isinstance(quality, int | float) or not 0 < quality <= 1:
+    if isinstance(quality, bool) or not isinstance(quality, int | float | np.floating) or not 0 < quality <= 1:
         raise ValueError(f"quality is {quality!r}: give a share of the episodes, above 0 and at most 1")
+
+
+def check_episodes(count: int, most: int | None = None) -> int:
+    """Return a number of episodes as a plain int; raise ValueError unless it is a whole one from 1 to `most`."""
+    number = whole_number(count)
+    if number is None or number < 1 or (most is not None and number > most):
+        to = "on" if most is None else f"to {most}, all there are"
+        raise ValueError(f"episodes is {count!r}: give a whole number from 1 {to}")
+    return number
 
 
 def spread_episodes(returns: NDArray[np.floating[Any]], count: int) -> NDArray[np.int64]:
@@ -55,8 +64,6 @@ def spread_episodes(returns: NDArray[np.floating[Any]], count: int) -> NDArray[n
     Raises:
         ValueError: `count` is no such number.
     """
-    groups = whole_number(count)
-    if groups is None or not 1 <= groups <= len(returns):
-        raise ValueError(f"episodes is {count!r}: give a whole number from 1 to {len(returns)}, all there are")
+    groups = check_episodes(count, len(returns))
     ranks = (2 * np.arange(groups) + 1) * len(returns) // (2 * groups)
     return np.sort(np.argsort(returns, kind="stable")[ranks])

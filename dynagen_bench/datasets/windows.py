@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dynagen_bench import ids
 from dynagen_bench.datasets.flat import OfflineDataset
 from dynagen_bench.datasets.normalization import Normalization
 from dynagen_bench.datasets.steps import StepIndex
@@ -53,15 +54,16 @@ class WindowSampler:
         Raises:
             ValueError: K below 1, data without steps, or a normalisation of another observation.
         """
-        if context < 1:
-            raise ValueError(f"context is {context}: give a whole number of steps from 1 on")
+        steps = ids.whole_number(context)
+        if steps is None or steps < 1:
+            raise ValueError(f"context is {context!r}: give a whole number of steps from 1 on")
         self._index = StepIndex(dataset)
         if normalization.mean.shape != (dataset.state_size,):
             raise ValueError(
                 f"normalization is of {normalization.mean.shape[0]} elements: {dataset.robot} has {dataset.state_size}"
             )
         self.dataset = dataset
-        self.context = context
+        self.context = steps
         self.normalization = normalization
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> Windows:

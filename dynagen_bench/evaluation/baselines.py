@@ -1,7 +1,7 @@
-"""What every score is to be read against: random actions, and the data itself.
+"""What every score is to be read against: random actions, none, and the data itself.
 
-What is here: `RandomPolicy`, the baselines' submissions, and `data_returns`. Called by the command line and the
-leaderboard. It must not know agents.
+What is here: `RandomPolicy`, `ZeroPolicy`, the baselines' submissions, and `data_returns`. Called by the command line
+and the leaderboard. It must not know agents.
 """
 
 from collections.abc import Sequence
@@ -46,12 +46,38 @@ class RandomPolicy:
         return self._rng.uniform(self._low, self._high, shape).astype(np.float32), state
 
 
-Baseline = Literal["random", "behaviour", "expert"]
+class ZeroPolicy:
+    """No action at all: in a robot that is paid for being upright it returns more than random ones do."""
+
+    def __init__(self, robot: str) -> None:
+        """Raises ValueError for an unknown robot."""
+        self._size = len(action_space(robot).low)
+
+    def predict(
+        self,
+        observation: NDArray[np.float64],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.float32], Any]:
+        """Actions (N, A) float32 of zeros; `state` is given back as it came."""
+        return np.zeros((len(observation), self._size), dtype=np.float32), state
+
+
+Baseline = Literal["random", "zero", "behaviour", "expert"]
+
+_SEEDLESS: Final[tuple[Baseline, ...]] = ("zero", "expert")
+"""What does the same in every run."""
 
 _ABOUT: Final[dict[Baseline, dict[str, Any]]] = {
     "random": {
         "agent": "Random policy",
         "description": "Actions drawn uniformly from the action space, whatever is observed.",
+        "privileged": "none",
+    },
+    "zero": {
+        "agent": "Zero actions",
+        "description": "No action at all, whatever is observed: what standing, or falling, returns by itself.",
         "privileged": "none",
     },
     "behaviour": {
@@ -77,9 +103,10 @@ def baseline_submission(
     What cannot become an entry is refused before the first evaluation.
 
     Args:
-        policy: `random`; `behaviour`, what made the test dynamics' data; `expert`, the best of those.
+        policy: `random`; `zero`, no action; `behaviour`, what made the test dynamics' data; `expert`, the best of
+            those.
         robots: on which robots.
-        runs: seeds 0, 1, ... of each robot; `expert` knows no seed and has one run.
+        runs: seeds 0, 1, ... of each robot; `zero` and `expert` know no seed and have one run.
         folder: where the behaviour policies are stored.
 
     Raises:
@@ -90,10 +117,10 @@ def baseline_submission(
         raise ValueError(f"{runs} runs on {len(robots)} robots asked for: give at least 1 of each")
     if len({ids.check_robot(robot) for robot in robots}) < len(robots):
         raise ValueError(f"a robot is named twice in {' '.join(robots)}: name each once")
-    seeds = 1 if policy == "expert" else runs
+    seeds = 1 if policy in _SEEDLESS else runs
     if seeds * len(robots) > MAX_RUNS:
         raise ValueError(f"{seeds * len(robots)} runs asked for: give at most {MAX_RUNS}, all robots together")
-    if policy != "random":
+    if policy in ("behaviour", "expert"):
         for robot in robots:
             snapshots_of_tests(robot, folder)
     made, traces = [], []
@@ -104,7 +131,7 @@ def baseline_submission(
             assert found.traces is not None
             traces.append(found.traces)
     options = "" if policy == "random" else f" --policy {policy}"
-    options += "" if policy == "expert" or runs == 5 else f" --runs {runs}"
+    options += "" if policy in _SEEDLESS or runs == 5 else f" --runs {runs}"
     submission = Submission(
         format_version=2,
         authors=["DynaGen Bench"],
@@ -123,6 +150,8 @@ def baseline_submission(
 def _make(policy: Baseline, robot: str, seed: int, folder: Path) -> Policy:
     if policy == "random":
         return RandomPolicy(robot, seed)
+    if policy == "zero":
+        return ZeroPolicy(robot)
     return behaviour_policy(robot, seed, folder) if policy == "behaviour" else best_policy(robot, folder)
 
 

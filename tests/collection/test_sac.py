@@ -1,6 +1,7 @@
 """One SAC run: its environments are the benchmark's, its stored actors are what it learned, and it can be stopped."""
 
 import contextlib
+import dataclasses
 import os
 import signal
 import subprocess
@@ -123,6 +124,13 @@ def test_a_killed_run_leaves_nothing_and_the_next_does_what_is_missing(stored, t
     before = policy_file(NAME, folder).stat().st_mtime_ns
     collect(names, TINY, folder)  # nothing is missing: nothing runs
     assert policy_file(NAME, folder).stat().st_mtime_ns == before
+
+
+def test_a_run_of_other_settings_is_not_taken_for_the_one_that_is_asked_for(stored):
+    folder = stored.parents[1]
+    collect([NAME], TINY, folder)  # nothing is missing: nothing runs
+    with pytest.raises(ValueError, match=r"test3\.safetensors was trained with gamma=0\.99: give another --folder"):
+        collect([NAME], dataclasses.replace(TINY, gamma=0.9), folder)
 
 
 def test_the_policies_are_the_last_file_of_a_run():

@@ -117,6 +117,19 @@ def change_the_snapshot(file):
     file["episode_3"].attrs["snapshot"] = 100
 
 
+@pytest.mark.parametrize(
+    ("field", "value"), [("entry_point", "payload:make"), ("max_episode_steps", 1000), ("order_enforce", False)]
+)
+@pytest.mark.parametrize("spec", ["env_spec", "eval_env_spec"])
+def test_an_environment_that_another_one_would_be_made_from(folder, spec, field, value):
+    file = folder / "data" / "metadata.json"
+    metadata = json.loads(file.read_text())
+    metadata[spec] = json.dumps(json.loads(metadata[spec]) | {field: value})
+    file.write_text(json.dumps(metadata))
+    with pytest.raises(ValueError, match="its environment is not Hopper-RandDyn-test3"):
+        check_dataset(folder, NAME)
+
+
 def change_the_policy(file):
     file["episode_3"].attrs["policy_sha256"] = "0" * 64
 
@@ -175,6 +188,7 @@ def edit(folder, *path, value):
         (["dynagen", "recipe", "policies", "200"], "0" * 64, "flags or metadata of episode_2 do not fit"),
         (["dynagen", "sha256"], "0" * 64, r"its episodes have sha256 \w{12}, not 0{12}"),
         (["dynagen", "returns", "max"], 1000.0, "its returns or number of steps are not those that it records"),
+        (["ref_max_score"], 1e6, "its reference scores are not the lowest and the highest of its returns"),
     ],
 )
 def test_damaged_metadata(folder, path, value, message):

@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -180,6 +181,19 @@ def test_no_robot_is_refused(command):
 def test_list_of_nothing(capsys):
     list_datasets()
     assert "dynagen data build" in capsys.readouterr().out
+
+
+def test_a_dataset_of_somebody_elses_hides_none(rebuild, tiny_records, capsys):
+    rebuild()
+    mine = shutil.copytree(dataset_folder(HOPPERS[0].dataset_id), dataset_folder("dynagen/mine/x-v0"))
+    metadata = json.loads((mine / "data" / "metadata.json").read_text())
+    del metadata["dynagen"]
+    (mine / "data" / "metadata.json").write_text(json.dumps(metadata | {"dataset_id": "dynagen/mine/x-v0"}))
+    capsys.readouterr()
+    list_datasets(tiny_records)
+    shown = capsys.readouterr()
+    assert "dynagen/mine/x-v0 is none of this benchmark's datasets, or damaged" in shown.err
+    assert HOPPERS[0].dataset_id in shown.out
 
 
 def test_committed_records_are_of_the_benchmarks_own_datasets():

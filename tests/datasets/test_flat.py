@@ -17,7 +17,7 @@ import pytest
 from dynagen_bench import ids
 from dynagen_bench.collection.contents import dataset_folder
 from dynagen_bench.collection.minari_files import build_dataset
-from dynagen_bench.datasets import OfflineDataset, load_dataset
+from dynagen_bench.datasets import OfflineDataset, load_adaptation, load_dataset
 from dynagen_bench.datasets.flat_files import cache_folder
 from tests.tiny_data import SNAPSHOTS, three_step_episodes
 
@@ -265,11 +265,29 @@ def test_missing_data_name_the_command():
         ({"robot": "Hopper", "split": "test", "indices": [5]}, "choose a whole number from 0 to 4"),
         ({"robot": "Hopper", "indices": [1, 1]}, "give at least one, and none twice"),
         ({"robot": "Hopper", "indices": []}, "give at least one, and none twice"),
+        ({"robot": "Hopper", "every": "20"}, "every is '20': give a whole number from 1 on"),
+        ({"robot": "Hopper", "every": 0}, "every is 0: give a whole number from 1 on"),
+        ({"robot": "Hopper", "every": 4.0}, "every is 4.0: give a whole number from 1 on"),
     ],
 )
 def test_bad_arguments(arguments, message):
     with pytest.raises(ValueError, match=message):
         load_dataset(**arguments)
+
+
+@pytest.mark.usefixtures("tiny_data")
+def test_what_is_no_share_and_no_number_is_refused_before_arrays_are_made(monkeypatch):
+    monkeypatch.setattr("dynagen_bench.datasets.flat.map_arrays", lambda *_: pytest.fail("arrays are made"))
+    with pytest.raises(ValueError, match="quality is 30: give a share of the episodes"):
+        load_dataset("Hopper", quality=30)
+    with pytest.raises(ValueError, match="episodes is 0: give a whole number from 1 on"):
+        load_adaptation("Hopper", 3, episodes=0)
+
+
+def test_a_share_may_be_one_of_numpys(tiny_data):
+    shares = (0.5, np.float32(0.5))
+    plain, numpys = (load_dataset("Hopper", quality=share, progress=False).episode_seeds for share in shares)
+    np.testing.assert_array_equal(plain, numpys)
 
 
 def test_arrays_that_do_not_fit_together_are_refused():

@@ -10,7 +10,7 @@ from dynagen_bench.datasets import reference_scores
 from dynagen_bench.datasets.manifest import check_official, read_manifest
 from dynagen_bench.datasets.scores import normalized_score, score_range
 
-COLLECTED = ("Walker", "Hopper", "HalfCheetah")
+COLLECTED = ("Walker", "Hopper", "HalfCheetah", "SlimHumanoid")
 """Robots whose behaviour policies are in the package."""
 
 

@@ -12,7 +12,7 @@ from dynagen_bench import ids
 from dynagen_bench.collection.contents import dataset_folder
 from dynagen_bench.collection.minari_files import build_dataset
 from dynagen_bench.datasets.checks import check_dataset
-from dynagen_bench.datasets.manifest import read_manifest
+from dynagen_bench.datasets.manifest import manifest_file, read_manifest
 from dynagen_bench.datasets.remotes import connect
 from tests.tiny_data import store_random_policies
 
@@ -45,6 +45,25 @@ def test_a_tree(publish, tmp_path, my_root, capsys):
     big = "dynagen/Hopper-RandDyn/test3-v0/data/main_data.hdf5"
     assert os.path.samefile(tree / big, my_root / big), "it takes no space"
     assert f"1 datasets are in {tree}" in capsys.readouterr().err
+
+
+def test_other_data_in_a_tree_give_way_to_official_ones_alone(publish, tmp_path, tiny_records):
+    tree = tmp_path / "tree"
+    publish("test3", output=tree)
+    listed = json.loads(manifest_file(tiny_records).read_text())
+    other = {name: entry | {"sha256": "0" * 64} for name, entry in listed.items()}
+    (tmp_path / "records").mkdir()
+    manifest_file(tmp_path / "records").write_text(json.dumps(other))
+    publish("test3", output=tree, unofficial=True, records=tmp_path / "records")  # the same data
+    metadata = tree / TEST3.dataset_id / "data" / "metadata.json"
+    changed = metadata.read_text().replace(listed[TEST3.dataset_id]["sha256"], "1" * 64)
+    metadata.unlink()  # a link to the root's own file
+    metadata.write_text(changed)
+    with pytest.raises(ValueError, match=r"test3-v0 is another dataset, sha256 1{12}: only official data replace one"):
+        publish("test3", output=tree, unofficial=True, records=tmp_path / "records")
+    assert metadata.read_text() == changed
+    publish("test3", output=tree)
+    assert "1" * 64 not in metadata.read_text()
 
 
 def test_a_tree_on_another_file_system_is_a_copy(publish, tmp_path, my_root, monkeypatch):

@@ -165,3 +165,15 @@ def test_fine_tuning_may_sample_test_data_with_train_normalisation():
 def test_bad_arguments(data, context, normalization, message):
     with pytest.raises(ValueError, match=message):
         WindowSampler(data, context, normalization)
+
+
+@pytest.mark.parametrize("context", [2.5, "20", True])
+def test_a_context_is_a_whole_number(context):
+    with pytest.raises(ValueError, match=f"context is {context!r}: give a whole number of steps from 1 on"):
+        WindowSampler(three_step_episodes(), context, PLAIN)
+
+
+@pytest.mark.parametrize("step", [-1, 10**6])
+def test_a_step_that_is_not_there_is_told(sampler, step):
+    with pytest.raises(ValueError, match=rf"there is no step {step}: give numbers from 0 to \d+"):
+        sampler.windows_at(np.array([0, step]))

@@ -53,6 +53,16 @@ def test_the_random_policy_is_submitted_as_an_entry_like_any_other(tmp_path):
     assert read_traces(tmp_path, submission.runs[1]).sha256 == submission.runs[1].trace
 
 
+def test_no_action_at_all_is_submitted_once():
+    submission, traces = baseline_submission("zero", ["Hopper"])
+    assert [run.seed for run in submission.runs] == [0]
+    assert not traces[0].actions.any()
+    assert submission.privileged == "none"
+    assert submission.commands == ["dynagen baseline Hopper --output my-entry --policy zero"]
+    # upright is paid, and the noise of a start alone does not throw it over at once
+    assert submission.runs[0].evaluation.evaluation().returns.min() > 20
+
+
 @pytest.mark.parametrize("policy", ["behaviour", "expert"])
 def test_behaviour_policies_are_submitted_as_privileged_references(policy, tiny_policies):
     submission, traces = baseline_submission(policy, ["Hopper"], runs=2, folder=tiny_policies)
