@@ -32,7 +32,7 @@ from agents.fine_tuning import (
     write_curve,
 )
 from agents.recording import progress_bar
-from agents.run_folder import git_commit, locked, read_json, write_json
+from agents.run_folder import ADAPTATION_CURVE, git_commit, locked, read_json, write_json
 from agents.threads import use_threads
 from dynagen_bench import ids
 from dynagen_bench.evaluation import Evaluation
@@ -147,7 +147,7 @@ def choose_steps(folder: Path, settings: AdaptationSettings, points: Sequence[in
         FileNotFoundError, ValueError, FloatingPointError: as `adapt`; or the run held out no dynamics, or its agent
             takes no steps.
     """
-    run, path = TrainedRun.read(folder), folder / "adaptation-curve.csv"
+    run, path = TrainedRun.read(folder), folder / ADAPTATION_CURVE
     check_takes_steps(run)
     with locked(folder), progress_bar() as bars:
         total = max(points) * len(held_out_names(run))
@@ -192,7 +192,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (ValueError, OSError, FloatingPointError) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
-        sys.exit("stopped: give the same command again to continue")
+        sys.exit("stopped: give the same command again to continue; with --curve it begins anew")
 
 
 if __name__ == "__main__":

@@ -17,15 +17,12 @@ import tyro
 from agents.fine_tuning import TrainedRun
 from agents.interface import Agent, Fitted
 from agents.learner import Learner
-from agents.run_folder import write_json
+from agents.run_folder import LEARNED, write_json
 from agents.threads import use_threads
 from agents.validation import set_apart
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
 from dynagen_bench.evaluation import EPISODES, Policy, RandomPolicy, evaluate
-
-LEARNED: Final = "evaluation-train.json"
-"""Of a run folder: mean returns in train dynamics."""
 
 COMPARED: Final = ("trained", "untrained", "random")
 

@@ -133,8 +133,10 @@ class FineTuning:
         seed = int(np.random.SeedSequence(key).generate_state(1)[0])
         self.name, self._data = name, data
         self._sampler = config.sampler(data, checkpoint.spec.normalization)
-        agent = agent.for_task() if isinstance(agent, ForTask) else agent
-        self._learner = Learner(checkpoint.agent, config, checkpoint.spec, seed, agent)
+        own = agent.for_task() if isinstance(agent, ForTask) else agent
+        self._learner = Learner(checkpoint.agent, config, checkpoint.spec, seed, own)
+        if own is agent:  # what is made for one dynamics has phases of its own; all else goes on learning to act
+            self._learner.phase_of = 0
 
     def advance_to(self, steps: int, after_each: Callable[[], None]) -> None:
         """Take gradient steps until there are `steps`; raises FloatingPointError where a loss is no number."""

@@ -15,7 +15,13 @@ from agents.interface import Following, Phased, RobotSpec, Sampler, Trainable
 
 
 class Learner:
-    """An agent, its optimiser, and how far they are."""
+    """An agent, its optimiser, and how far they are.
+
+    Attributes:
+        step: updates done.
+        seconds: that training has taken.
+        phase_of: an agent that learns in phases stays in that of this step; None goes with `step`.
+    """
 
     def __init__(
         self, name: str, config: TrainingConfig, spec: RobotSpec, seed: int, agent: Trainable | None = None
@@ -34,6 +40,7 @@ class Learner:
             fused=True,
         )
         self.step, self.seconds = 0, 0.0
+        self.phase_of: int | None = None
         self._dropout = torch.Generator(device)
 
     def update(self, sampler: Sampler) -> dict[str, float]:
@@ -46,7 +53,7 @@ class Learner:
         windows = sampler.sample(self.config.batch_size, rng)
         self._dropout.manual_seed(int(rng.integers(2**63)))
         if isinstance(self.agent, Phased):
-            self.agent.begin(self.step)
+            self.agent.begin(self.step if self.phase_of is None else self.phase_of)
         loss, parts = self.agent.loss(windows, self._dropout)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]

@@ -46,7 +46,13 @@ DATA: Final = ("every", "quality", "hold_out")
 """Settings that choose what is trained on: a mean over runs that differ in one means nothing."""
 
 _RECORD_ONLY: Final = ("runs", "name", "evaluate_every", "checkpoint_every", "log_every", "threads")
-"""Settings that change no parameter of the agent: a run may continue with others."""
+"""Settings that a run may continue with others of; another number of threads moves the last bits of its parameters."""
+
+LEARNED: Final = "evaluation-train.json"
+"""Of a run folder: mean returns in train dynamics (`agents.evaluate`)."""
+
+ADAPTATION_CURVE: Final = "adaptation-curve.csv"
+"""Of a run folder: returns by steps of fine-tuning, in held-out train dynamics (`agents.adapt --curve`)."""
 
 
 @dataclasses.dataclass(frozen=True)

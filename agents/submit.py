@@ -183,7 +183,7 @@ def _commands(run: FinishedRun, checkpoint: str) -> list[str]:
     """The commands that make a run's result again: what differs from the defaults, and a machine's precision."""
     agent, settings = run.config["agent"], run.config["settings"]
     defaults = RunSettings(settings["robot"])
-    wanted = ["seed", "every", "quality", "hold_out", "patience"]
+    wanted = ["seed", "every", "quality", "hold_out", "patience", "threads"]
     if checkpoint == "best":  # when it looks decides which that is
         wanted.append("evaluate_every")
     changed = _changed({key: settings[key] for key in wanted}, dataclasses.asdict(defaults))

@@ -1,4 +1,4 @@
-"""Many runs, each a job: `python -m agents.sweep "{dadt,dt} --robot {Hopper,Ant} --seed {0,1,2} --steps 20000"`.
+"""Many runs, each a job: `python -m agents.sweep "{dadt,dt} --robot {Hopper,Walker} --seed {0,1,2} --steps 20000"`.
 
 What is here: running what `sweep_plan` has read, and the page of the curves. Called from the command line; `train_one`
 by a job's process. It must not know how a run goes, nor how jobs are run.
@@ -15,7 +15,7 @@ from typing import Annotated, Any, Final
 import tyro
 
 from agents import TRAINABLE
-from agents.run_folder import RunSettings
+from agents.run_folder import RunSettings, git_commit
 from agents.summary import write_summary
 from agents.sweep_plan import SweepRun, is_finished, plan
 from agents.train import run
@@ -89,6 +89,9 @@ def _command(
         processes: how many at once; one a processor if left out.
         ray: "local", or the address of a cluster.
     """
+    if (git_commit() or "").endswith("-dirty"):
+        warning = "warning: files of the checkout are not as they are committed: nobody can make these runs again"
+        print(warning, file=sys.stderr)
     planned = sweep([*lines, *(read_lines(jobs_file) if jobs_file else [])], runs, processes, ray)
     return f"runs in {runs}: {len(planned)}, their curves in {runs / SUMMARY}"
 

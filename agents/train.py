@@ -28,6 +28,8 @@ from agents.learner import Learner
 from agents.prediction import PREDICTION
 from agents.recording import Record, progress_bar, recorder, score_if_known
 from agents.run_folder import (
+    ADAPTATION_CURVE,
+    LEARNED,
     Curves,
     RunSettings,
     claimed,
@@ -94,12 +96,15 @@ def train(
         returns = [value for step, value in read_curve(folder, "validation_return") if step <= learner.step]
         done = learner.step == config.steps or has_stalled(returns, settings.patience)
         record, result = recorder(learner, settings, folder)
-        if done and _is_complete(result, before, learner.step):
+        if done and _is_complete(folder, result, before, learner.step):
             return folder
         sampler = config.sampler(dataset, normalization)
         if learner.step == 0 and isinstance(learner.agent, Fitted):
             learner.agent.fit(sampler)
         validation = None if held is None else Validation(held, settings.hold_out, config, learner.spec)
+        if not done:
+            for stale in ("evaluation.json", PREDICTION, LEARNED, ADAPTATION_CURVE):
+                (folder / stale).unlink(missing_ok=True)  # of a checkpoint that is not the last one any more
         if not done or before is None or not same_length(before, description):
             write_json(folder / "config.json", description)
         curves = Curves(folder, learner.step)
@@ -110,9 +115,15 @@ def train(
     return folder
 
 
-def _is_complete(result: Path, description: Mapping[str, Any] | None, step: int) -> bool:
-    """Whether a run has its official result, of the step it is at, where its config.json says that it ends."""
+def _is_complete(folder: Path, result: Path, description: Mapping[str, Any] | None, step: int) -> bool:
+    """Whether a run has its official result, of the step it is at, where its config.json says that it ends.
+
+    And whether its curves have it: a kill between the two writes leaves them without it.
+    """
     if description is None or not result.is_file():
+        return False
+    curve = read_curve(folder, "test_return" if result.name == "evaluation.json" else "test_error")
+    if not curve or curve[-1][0] != step:
         return False
     found = read_json(result)
     return found["gradient_steps"] == step and ends_run(found, description["config"]["steps"])
@@ -135,9 +146,6 @@ def _run(
     """
     steps, recent = learner.config.steps, list[dict[str, float]]()
     before, started = learner.seconds, time.monotonic()
-    if not done:
-        for result in ("evaluation.json", PREDICTION):
-            (folder / result).unlink(missing_ok=True)  # of a checkpoint that is not the last one any more
     with progress_bar() as bars:
         bar = bars.add_task(folder.name, total=steps, completed=learner.step, note="")
         while not done:

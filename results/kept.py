@@ -24,9 +24,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.evaluate import LEARNED
 from agents.prediction import PREDICTION
-from agents.run_folder import read_config, read_curve, read_json, write_json
+from agents.run_folder import ADAPTATION_CURVE, LEARNED, read_config, read_curve, read_json, write_json
 from agents.summary.runs import Run, read_runs
 from dynagen_bench.whole import whole_file
 
@@ -34,8 +33,6 @@ FOLDER: Final = Path(__file__).parent
 
 REFERENCE: Final = "reference"
 """The group of runs behind the board's entries and the table of errors; others are named by what they vary."""
-
-ADAPTATION_CURVE: Final = "adaptation-curve.csv"
 
 _COPIED: Final = ("curves.csv", PREDICTION, ADAPTATION_CURVE, LEARNED)
 

@@ -68,6 +68,15 @@ def test_fine_tuning_is_training_from_the_checkpoint_with_its_own_values(name):
     assert not different(fine_tuned(dataclasses.replace(start, config=slow)), tuned)
 
 
+def test_an_agent_that_learns_in_phases_is_fine_tuned_as_it_learned_to_act():
+    config = tiny_config("dt_plus", trunk_steps=2).for_robot("Hopper")
+    start = Learner("dt_plus", config, hopper_spec(), seed=1).checkpoint()
+    two, six = (fine_tuned(start, tuning=dataclasses.replace(FAST, steps=steps)) for steps in (2, 6))
+    assert {key for key in two if key.startswith("dt.")} == {
+        key for key in different(two, six) if key.startswith("dt.")
+    }
+
+
 def test_without_a_step_it_is_the_zero_shot_evaluation_bit_for_bit(run, tiny_data):
     result = adapt(run, dataclasses.replace(FAST, steps=0))
     zero_shot, adapted = evaluation_of(run / "evaluation.json"), read_result(result)

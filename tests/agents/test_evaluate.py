@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from agents.checkpoint import load_checkpoint
-from agents.evaluate import LEARNED, main, measure_learning
+from agents.evaluate import main, measure_learning
 from agents.focal import FOCALConfig
+from agents.run_folder import LEARNED
 from agents.train import train
 from agents.trajectory_transformer import TrajectoryTransformerConfig
 from dynagen_bench.datasets import load_dataset

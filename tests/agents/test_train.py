@@ -15,7 +15,7 @@ import torch
 
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.learner import Learner
-from agents.run_folder import RunSettings, claimed, read_finished, write_json
+from agents.run_folder import ADAPTATION_CURVE, LEARNED, RunSettings, claimed, read_finished, write_json
 from agents.train import main, train
 from dynagen_bench.datasets import WindowSampler, load_dataset
 from dynagen_bench.evaluation import Evaluation, evaluate, reset_seeds
@@ -99,6 +99,30 @@ def test_more_steps_continue_a_finished_run_and_fewer_are_refused(tmp_path):
     with pytest.raises(ValueError, match="is at step 12 already: give --steps 12 or more"):
         train("dt", tiny_config("dt", steps=6), settings(tmp_path / "more"), random_dataset())
     assert contents(folder) == before
+
+
+def test_what_was_measured_at_an_earlier_step_goes_when_the_run_goes_on(tmp_path):
+    folder = train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset())
+    for name in (LEARNED, ADAPTATION_CURVE):
+        (folder / name).write_text("of step 2")
+    train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset())  # complete: it stays as it is
+    assert (folder / LEARNED).is_file()
+    train("dt", tiny_config("dt", steps=4), settings(tmp_path), random_dataset())
+    assert not [name for name in (LEARNED, ADAPTATION_CURVE) if (folder / name).exists()]
+
+
+def test_a_kill_between_result_and_curves_loses_no_point(tmp_path):
+    folder = train("dt", tiny_config("dt", steps=4), settings(tmp_path), random_dataset())
+    whole = curves(folder)
+    assert whole[-1]["test_return"]
+    rows = (folder / "curves.csv").read_text().splitlines()
+    names, last = rows[0].split(","), rows[-1].split(",")
+    for name in ("test_return", "test_score"):
+        if name in names:
+            last[names.index(name)] = ""
+    (folder / "curves.csv").write_text("\n".join([*rows[:-1], ",".join(last)]) + "\n")
+    train("dt", tiny_config("dt", steps=4), settings(tmp_path), random_dataset())
+    assert curves(folder) == whole
 
 
 def test_a_run_whose_learning_rate_falls_towards_its_end_has_no_other_end(tmp_path):

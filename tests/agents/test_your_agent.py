@@ -7,6 +7,7 @@ from agents.run_folder import RunSettings, read_curve
 from agents.train import train
 from dynagen_bench.evaluation.submission import read_submission
 from leaderboard.verify import verify
+from tests.agents import samples
 from tests.agents.samples import random_dataset
 from tests.test_documents import ROOT, blocks, smaller
 
@@ -34,6 +35,15 @@ def test_its_submission_is_replayed(written, tmp_path):
     found = read_submission(tmp_path / "my-entry")
     assert (found.agent, found.runs[0].gradient_steps) == ("GRU", 5)
     assert [check.label for check in verify(tmp_path / "my-entry", found)] == ["replayed"]
+
+
+def test_the_contract_tests_take_it_too(written, monkeypatch):
+    monkeypatch.setitem(agents.AGENTS, "gru", (written["GRUConfig"], written["GRUAgent"]))
+    monkeypatch.setattr(samples, "SEQUENCE_AGENTS", [*samples.SEQUENCE_AGENTS, "gru"])
+    assert ("gru", 0) in samples.stages()
+    loss, parts = samples.new_agent("gru").loss(samples.random_windows(), None)
+    assert loss.isfinite()
+    assert parts
 
 
 def test_it_is_trained_as_one_of_the_agents(written, tmp_path, monkeypatch):
