@@ -93,7 +93,7 @@ class BatchPhysics:
         self.reference_qpos: Array = model.qpos0.copy()
         self._batch = Batch(model, nsim=len(dynamics), nthread=threads)
         self._batch.set_models(self._models)
-        self._process = os.getpid()
+        self._process = None if threads == 1 else os.getpid()  # whose threads they are; the caller's own goes along
         _ALIVE.add(self)
         # a row of the batch's state begins with the time, qpos and qvel: one copy takes a whole physics state
         self.states: Array = self._batch.state[:, 1 : 1 + model.nq + model.nv]
@@ -154,7 +154,7 @@ class BatchPhysics:
 
         Raises:
             ValueError: actions of another shape, or not finite; no physics has run.
-            RuntimeError: this is a fork of the process that made it, without its threads.
+            RuntimeError: this is a fork of the process that made it, without its several threads.
         """
         self._check_process()
         # a slice copies a third as fast again as an array of all indices does, and most steps are of all
@@ -187,10 +187,10 @@ class BatchPhysics:
         return Transition(observations, rewards, terminated, unstable, states, velocities, terms)
 
     def _check_process(self) -> None:
-        if os.getpid() != self._process:
+        if self._process not in (None, os.getpid()):
             raise RuntimeError(
                 f"{self.robot}: these simulations were made before the process was forked, and their threads stayed "
-                "behind: make them in the process that steps them, or start it by 'spawn'"
+                "behind: make them in the process that steps them, with threads=1, or start it by 'spawn'"
             )
 
     def _unstable(self, rows: Any) -> NDArray[np.bool_] | None:

@@ -145,7 +145,20 @@ def test_a_forked_process_is_told_to_make_its_own():
     child = multiprocessing.get_context("fork").Process(target=_step_what_was_inherited, args=(batch, theirs))
     child.start()
     assert ours.poll(60)
-    assert "make them in the process that steps them, or start it by 'spawn'" in ours.recv()
+    assert "make them in the process that steps them, with threads=1, or start it by 'spawn'" in ours.recv()
+    assert ours.poll(60)
+    assert ours.recv() == batch.step(np.zeros((2, 3))).rewards.tolist()
+    child.join(60)
+    assert child.exitcode == 0
+
+
+def test_a_forked_process_steps_what_has_no_threads():
+    batch = batch_of("Hopper", "test", 2, threads=1)
+    batch.start(np.arange(2), [np.random.default_rng(i) for i in range(2)])
+    ours, theirs = multiprocessing.Pipe()
+    fork = multiprocessing.get_context("fork")
+    child = fork.Process(target=lambda: theirs.send(batch.step(np.zeros((2, 3))).rewards.tolist()))
+    child.start()
     assert ours.poll(60)
     assert ours.recv() == batch.step(np.zeros((2, 3))).rewards.tolist()
     child.join(60)
