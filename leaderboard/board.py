@@ -60,9 +60,9 @@ def submit(
         done: called with each run that has been verified.
 
     Raises:
-        FileNotFoundError: there is no submission in `folder`.
+        FileNotFoundError: there is no submission in `folder`, or no entry to join.
         FileExistsError: the board has an entry of this name, and neither `replace` nor `join` is given.
-        ValueError: one line naming the file and the field that is wrong, or there is no entry to join.
+        ValueError: one line naming the file and the field that is wrong.
     """
     if replace and join:
         raise ValueError("give either --replace or --join: the new runs stand alone, or beside those of the entry")
@@ -91,10 +91,10 @@ def submit(
 
 
 def _entry(board: Path, slug: str) -> Entry:
-    """An entry of a board; raises ValueError if there is none of that name."""
-    found = next((entry for entry in read_entries(board) if entry.slug == slug), None) if board.is_dir() else None
+    """An entry of a board; raises FileNotFoundError if there is none of that name."""
+    found = next((entry for entry in read_entries(board) if entry.slug == slug), None)
     if found is None:
-        raise ValueError(f"{board} has no entry {slug!r} to join: submit it without --join")
+        raise FileNotFoundError(f"{board / FOLDER} has no entry {slug!r}: see `python -m leaderboard show`")
     return found
 
 
@@ -113,9 +113,7 @@ def rerun(slug: str, folder: Path, board: Path = BOARD) -> Entry:
     own = {(run.robot, run.seed): run for run in read_official(folder).runs}
     read_entries(board)  # before a lock would make the folder
     with _locked(board):
-        entry = next((entry for entry in read_entries(board) if entry.slug == slug), None)
-        if entry is None:
-            raise FileNotFoundError(f"{board / FOLDER} has no entry {slug!r}")
+        entry = _entry(board, slug)
         if entry.label not in ("replayed", "re-run"):
             raise ValueError(f"{slug} is {entry.label}: only what was replayed exactly can be re-run")
         for run in entry.submission.runs:

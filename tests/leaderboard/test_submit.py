@@ -99,7 +99,7 @@ def test_runs_that_were_made_later_join_the_entry(tmp_path, board):
             {"description": "More steps."},
             r"description: it is 'More steps\.', the entry has '.*': write the same",
         ),
-        ((2,), {"agent": "nobody"}, "has no entry 'nobody-zero-shot-last' to join: submit it without --join"),
+        ((2,), {"agent": "nobody"}, "has no entry 'nobody-zero-shot-last': see `python -m leaderboard show`"),
     ],
 )
 def test_what_does_not_belong_to_an_entry_does_not_join_it(tmp_path, board, seeds, fields, message):
@@ -107,7 +107,7 @@ def test_what_does_not_belong_to_an_entry_does_not_join_it(tmp_path, board, seed
     submit(tmp_path / "first", board)
     before = (board / PAGE).read_bytes()
     traced(tmp_path / "later", seeds=seeds, **fields)
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
         submit(tmp_path / "later", board, join=True)
     assert (board / PAGE).read_bytes() == before
 
