@@ -75,8 +75,7 @@ def submit(
     found = [_read_run(folder, checkpoint, track) for folder in runs]
     configs, records = [run.config for run in found], [run.record for run in found]
     agent = _the_same("agent", [config["agent"] for config in configs])
-    # a run may be older than what has adapted it, and the later commit has both
-    commits = [_clean(run.record.get("commit", run.config["commit"])) for run in found]
+    commits = [_commit(run) for run in found]
     for robot in {config["settings"]["robot"] for config in configs}:
         of_robot = [config for config in configs if config["settings"]["robot"] == robot]
         _the_same(f"config for {robot}", [config["config"] for config in of_robot])
@@ -130,9 +129,14 @@ def _read_run(folder: Path, checkpoint: str, track: Track) -> FinishedRun:
     return FinishedRun(config, last, record, traces, curve)
 
 
-def _clean(commit: str | None) -> str | None:
-    """A commit that anybody can check out, or None."""
-    return commit if commit and not commit.endswith("-dirty") else None
+def _commit(run: FinishedRun) -> str | None:
+    """A commit that anybody can check out and make the result by, or None.
+
+    A run may be older than what has adapted it, and the later commit has both.
+    """
+    trained = run.config["commit"]
+    made = [trained, run.record.get("commit", trained)]
+    return None if any(not commit or commit.endswith("-dirty") for commit in made) else str(made[-1])
 
 
 def _run(run: FinishedRun, commit: str | None) -> Run:

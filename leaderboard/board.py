@@ -80,11 +80,11 @@ def submit(
     with _locked(board):
         _check_name(board, entry.slug, replace or join)
         sources = [folder]
-        if join:
+        if join:  # what the entry has is the entry's, whatever else lies in the given folder under the same name
             there = _entry(board, entry.slug)
             whole = joined(there.submission, entry.submission)
             entry = Entry(entry.slug, whole, min(there.label, entry.label, key=LABELS.index))
-            sources.append(board / FOLDER / entry.slug)
+            sources.insert(0, board / FOLDER / entry.slug)
         check_copies(folder, entry.submission, read_entries(board))
         _put(board, entry, sources)
     return entry

@@ -35,13 +35,13 @@ def check_copies(folder: Path, submission: Submission, entries: Sequence[Entry])
         for run in entry.submission.runs
     ]
     for number, run in enumerate(submission.runs):
-        before = [(f"its run {i}", other) for i, other in enumerate(submission.runs[:number])]
+        before = [(f"the same agent's with seed {other.seed}", other) for other in submission.runs[:number]]
         for where, other in [*before, *others]:
             same = same_episodes(run, other)
             if same > SHARE:
                 raise ValueError(
-                    f"{folder / FILE_NAME}: runs.{number}: {same:.0%} of its episodes are those of {where}: give a run "
-                    "once, and under the name of the agent that made it"
+                    f"{folder / FILE_NAME}: {run.robot} with seed {run.seed}: {same:.0%} of its episodes are those of "
+                    f"{where}: give a run once, and under the name of the agent that made it"
                 )
 
 

@@ -147,12 +147,13 @@ def _entry(entry: Entry) -> str:
     links = [f"[{name}]({url.replace('&', '&amp;')})" for name, url in _links(entry)]
     steps = sorted({run.gradient_steps for run in submission.runs})
     mujoco = sorted({run.evaluation.mujoco for run in submission.runs})
+    untold = f"; not given of {submission.untold} runs" if submission.commits and submission.untold else ""
     lines = [
         f"### {escape(submission.agent)} ({submission.track}, {submission.checkpoint})\n",
         f"- About: {escape(submission.description)}",
         f"- Authors: {', '.join(map(escape, submission.authors))}",
         f"- Links: {', '.join(links) or 'none'}",
-        f"- Commit: {', '.join(submission.commits) or 'not given'}",
+        f"- Commit: {', '.join(submission.commits) or 'not given'}{untold}",
         f"- Training: {' or '.join(map(str, steps))} gradient steps a run, {submission.hours:g} hours in all, "
         f"on {escape(submission.hardware)}",
         f"- Evaluated with MuJoCo {' and '.join(map(escape, mujoco))}",

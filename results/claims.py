@@ -4,8 +4,9 @@ What is here: `claims`. Called by the page. It must not know how a page looks.
 
 A comparison of two methods is the probability that a run of the one is better than a run of the other in the same test
 dynamics (Agarwal et al., 2021; docs/statistics.md). A claim holds where its 95 % interval lies above one half, does not
-where it lies below, and is undecided in between, and where a side has fewer runs than `FEWEST`. Of few runs such an
-interval is too narrow: it says the least that is unknown.
+where it lies below, and is undecided in between, where a side has fewer runs than `FEWEST`, and where one robot alone
+would say the opposite: a mean over robots hides that. Of few runs such an interval is too narrow: it says the least
+that is unknown.
 
 That λ makes no difference is the one claim of several methods at once. The best and the worst of them are chosen by the
 scores that would then tell them apart: so the distance between their means is compared with those after dealing the
@@ -49,7 +50,9 @@ class Evidence(NamedTuple):
     robots: tuple[str, ...]
     """That both have been run on."""
     runs: tuple[int, int]
-    """Of the one and of the other, each on the robot where it has fewest."""
+    """Of the one and of the other, each on the robot where it has fewest; of λ the fewest and the most of any value."""
+    each: tuple[Estimate, ...]
+    """The probability on each of these robots alone."""
     chance: float | None = None
     """The p-value of a permutation test, where there is one."""
 
@@ -60,7 +63,11 @@ class Evidence(NamedTuple):
             return "not run"
         if self.estimate.interval is None or min(self.runs) < FEWEST:
             return "undecided"
+        intervals = [self.estimate.interval, *(one.interval for one in self.each if one.interval is not None)]
+        above, below = (any(found) for found in zip(*((low > 0.5, high < 0.5) for low, high in intervals), strict=True))
         low, high = self.estimate.interval
+        if above and below:
+            return "undecided"
         return "holds" if low > 0.5 else "does not hold" if high < 0.5 else "undecided"
 
 
@@ -93,7 +100,7 @@ def claims(entries: Sequence[Entry], errors: Sequence[Errors], groups: Mapping[s
         _all(
             "DADT acts best after adaptation",
             "Tables 1, 7",
-            *(_than(adapted, "DADT", name) for name in ("MerPO", "Trajectory Transformer")),
+            *(_than(adapted, "DADT", name) for name in _BASELINES),
         ),
         _all(
             "DADT without adaptation is above adapted baselines",
@@ -171,9 +178,11 @@ def _than(scores: Mapping[str, Scores | None], name: str, other: str) -> Evidenc
 def _compared(what: str, scores: Scores | None, others: Scores | None) -> Evidence:
     shared = tuple(robot for robot in ids.ROBOTS if robot in (scores or {}) and robot in (others or {}))
     if scores is None or others is None or not shared:
-        return Evidence(what, None, (), (0, 0))
+        return Evidence(what, None, (), (0, 0), ())
     one, other = (min(len(side[robot]) for robot in shared) for side in (scores, others))
-    return Evidence(what, improvement(scores, others), shared, (one, other))
+    each = (improvement({robot: scores[robot]}, others) for robot in shared)
+    told = tuple(estimate for estimate in each if estimate is not None)
+    return Evidence(what, improvement(scores, others), shared, (one, other), told)
 
 
 def _all(text: str, source: str, *evidence: Evidence) -> Claim:
@@ -189,19 +198,20 @@ def _robust(weights: Mapping[str, Scores]) -> Claim:
     robots = [robot for robot in ids.ROBOTS if weights and all(robot in scores for scores in weights.values())]
     shared = {value: {robot: scores[robot] for robot in robots} for value, scores in weights.items()}
     if len(shared) < 2 or not robots:
-        return Claim(text, source, "not run", (Evidence("best λ − worst λ", None, (), (0, 0)),))
+        return Claim(text, source, "not run", (Evidence("best λ − worst λ", None, (), (0, 0), ()),))
     means = {value: float(np.mean([of.mean() for of in scores.values()])) for value, scores in shared.items()}
     best, worst = (end(means, key=lambda value: means[value]) for end in (max, min))
-    counts = [min(len(of) for of in shared[value].values()) for value in (best, worst)]
-    fewest = min(len(of) for scores in shared.values() for of in scores.values())
+    counts = [len(of) for scores in shared.values() for of in scores.values()]
+    fewest, most = min(counts), max(counts)
     chance = spread_by_chance(shared)
     low, high = spread_interval(shared)
     what = f"best − worst of {len(shared)} values of λ ({best}, {worst}), points"
-    spread = Evidence(what, Estimate(means[best] - means[worst], (low, high)), tuple(robots), (counts[0], counts[1]))
+    distance = Estimate(means[best] - means[worst], (low, high))
+    spread = Evidence(what, distance, tuple(robots), (fewest, most), (), chance)
     verdict: Verdict = "undecided"
     if fewest >= FEWEST:
         verdict = "does not hold" if chance < SIGNIFICANT else "holds" if high < CLOSE else "undecided"
-    return Claim(text, source, verdict, (spread._replace(chance=chance),))
+    return Claim(text, source, verdict, (spread,))
 
 
 def spread_interval(groups: Mapping[str, Scores]) -> tuple[float, float]:

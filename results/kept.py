@@ -63,15 +63,9 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
         raise ValueError("no run is given: give the folders of finished runs, as runs/dadt-Hopper-seed0")
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", group):
         raise ValueError(f"the group is {group!r}: give words in small letters, as {REFERENCE} or low-quality")
+    found = {run: _checked(run) for run in (given.resolve() for given in runs)}  # all of them before any is written
     kept = []
-    for run in (given.resolve() for given in runs):
-        if not (run / "config.json").is_file() or not (run / "curves.csv").is_file():
-            raise FileNotFoundError(f"{run} is no run, it has no config.json and curves.csv: train it first")
-        about = read_config(run)
-        commit = about.get("commit")
-        if not commit or commit.endswith("-dirty"):
-            raise ValueError(f"{run} was made by {commit or 'no commit'}: commit the code and train it again")
-        _check_finished(run, about["config"]["steps"])
+    for run, about in found.items():
         settings = {key: value for key, value in about["settings"].items() if key not in _OF_A_MACHINE}
         place = folder / "runs" / group / run.name
         write_json(place / "config.json", about | {"settings": settings, "command": _plain(about.get("command"))})
@@ -83,6 +77,18 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
                 (place / name).unlink(missing_ok=True)
         kept.append(place)
     return kept
+
+
+def _checked(run: Path) -> dict[str, Any]:
+    """The config.json of a run that can be kept; raises as `keep` does."""
+    if not (run / "config.json").is_file() or not (run / "curves.csv").is_file():
+        raise FileNotFoundError(f"{run} is no run, it has no config.json and curves.csv: train it first")
+    about = read_config(run)
+    commit = about.get("commit")
+    if not commit or commit.endswith("-dirty"):
+        raise ValueError(f"{run} was made by {commit or 'no commit'}: commit the code and train it again")
+    _check_finished(run, about["config"]["steps"])
+    return about
 
 
 def _plain(command: str | None) -> str | None:
@@ -98,12 +104,17 @@ def _plain(command: str | None) -> str | None:
 
 
 def _check_finished(run: Path, steps: int) -> None:
-    """Raise ValueError if training has not come to its last step, nor ended early by held-out dynamics."""
-    result, curve = run / "evaluation.json", read_curve(run, "loss")
-    if result.is_file() and read_json(result).get("stopped_early"):
-        return
-    if not curve or curve[-1][0] != steps:
-        raise ValueError(f"{run} is at step {curve[-1][0] if curve else 0} of {steps}: train it to the end first")
+    """Raise ValueError if training has not come to its last step, nor ended early by held-out dynamics.
+
+    And if its next-state errors are those of another step.
+    """
+    result, curve, errors = run / "evaluation.json", read_curve(run, "loss"), run / PREDICTION
+    last = curve[-1][0] if curve else 0
+    stopped_early = result.is_file() and read_json(result).get("stopped_early")
+    if last != steps and not stopped_early:
+        raise ValueError(f"{run} is at step {last} of {steps}: train it to the end first")
+    if errors.is_file() and (measured := read_json(errors)["gradient_steps"]) != last:
+        raise ValueError(f"{errors} is of step {measured}, the run is at step {last}: run agents.predict again")
 
 
 def keep_compute(benchmark: Path, folder: Path = FOLDER) -> Path:
@@ -162,16 +173,24 @@ def kept_errors(group: str = REFERENCE, folder: Path = FOLDER) -> list[Errors]:
     """The next-state errors of a group's runs, by agent and robot.
 
     Raises:
-        ValueError: runs of one agent and robot were measured in other data.
+        ValueError: runs on one robot were measured in other data, or runs of one agent at other steps.
     """
     found: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for path in sorted((folder / "runs" / group).glob(f"*/{PREDICTION}")):
         record = read_json(path)
         found.setdefault((record["agent"], record["prediction"]["robot"]), []).append(record)
+    data: dict[str, tuple[str, Any]] = {}
     for (agent, robot), records in found.items():
         ways = {json.dumps([record["every"], record["episodes"], record["gradient_steps"]]) for record in records}
         if len(ways) > 1:
             raise ValueError(f"the errors of {agent} on {robot} were measured in different ways: {sorted(ways)}")
+        own = [records[0]["every"], records[0]["episodes"]]
+        other, theirs = data.setdefault(robot, (agent, own))
+        if own != theirs:
+            raise ValueError(
+                f"the errors of {other} and {agent} on {robot} were measured in other data, every and episodes "
+                f"{theirs} and {own}: run agents.predict of both alike"
+            )
     return [
         Errors(agent, robot, np.array([record["prediction"]["errors"] for record in records]), _unchanged(records))
         for (agent, robot), records in found.items()

@@ -61,16 +61,25 @@ CLAIMS: Final = """\
 ## The paper's claims
 
 The number is the probability that a run of the one is better than a run of the other in the same test dynamics, with a
-95 % interval over runs ([statistics.md](statistics.md)). A claim *holds* where the interval lies above one half, *does
-not hold* where it lies below, for one of its comparisons, and is *undecided* in between, or where one of the two has
-fewer than three runs. Where all runs of the one are above all of the other in every dynamics, the interval has no
-width: that says more of how few runs there are than of how sure it is. How often two equal agents get a verdict:
-[statistics.md](statistics.md).
+95 % interval over runs ([statistics.md](statistics.md)); where there are several robots, the number of each stands
+behind. A claim *holds* if the interval lies above one half for all of its comparisons, and *does not hold* if it lies
+below for one of them. It is *undecided* in between, if one of the two has fewer than three runs, or if the interval of
+one robot alone lies on the other side of one half. Where all runs of the one are above all of the other in every
+dynamics, the interval has no width: that says more of how few runs there are than of how sure it is. How often two
+equal agents get a verdict: [statistics.md](statistics.md).
 
-That λ hardly matters is a claim of several agents at once, and has a rule of its own. Its number is the distance
-between the best and the worst mean score. The claim *does not hold* where a deal of the runs to the values of λ at
-random gives a distance as wide in less than 5 % of all deals, and *holds* where, failing that, the upper end of the
-distance's interval is below 10 points; with fewer than three runs of a value it is *undecided*.
+That λ hardly matters is a claim about several values at once, and has a rule of its own. Its number is the distance
+between the best and the worst mean score. The claim *does not hold* if fewer than 5 % of random reassignments of the
+runs to the values of λ give a distance at least as large. Otherwise it *holds* if the upper end of the distance's
+interval is below 10 points; with fewer than three runs of a value it is *undecided*.
+"""
+
+ADAPTED: Final = """\
+## Scores after adaptation
+
+The counterpart of the paper's Tables 1 and 7. FOCAL takes no gradient step: it is given the episodes that the others
+are fine-tuned on. The others' steps differ, as [LEADERBOARD.md](../leaderboard/LEADERBOARD.md) says of each entry, and
+only DADT's were looked at in held-out dynamics, of Hopper: these are numbers of unequal effort.
 """
 
 LOW_QUALITY: Final = """\
@@ -105,9 +114,9 @@ actions, in the same ten episodes of each (`python -m agents.evaluate`).
 CHOICES: Final = """\
 ## How hyperparameters were chosen
 
-By train dynamics that the runs held out (`--hold-out 4`), never by test dynamics. The board's transformers have the
-learning rate 0.001, constant as in the paper, and 5,000 steps: beyond some 3,000 the loss in held-out dynamics rises
-again at that rate, and the return there does not rise.
+By train dynamics that the runs held out (`--hold-out 4`), never by test dynamics, and on Hopper alone: the other robots
+have what was chosen there. DADT, DT and Transformer-BC have the learning rate 0.001, constant as in the paper, and
+5,000 steps: beyond some 3,000 the loss in held-out dynamics rises again at that rate, and the return there does not.
 """
 
 COMPUTE: Final = """\
@@ -171,10 +180,7 @@ def _scores(entries: Sequence[Entry]) -> list[str]:
     return [
         "## Scores without adaptation\n\nThe counterpart of the paper's Tables 1, 2 and 7.\n",
         tables.scores(entries, "zero-shot"),
-        "## Scores after adaptation\n\nThe counterpart of the paper's Tables 1 and 7. FOCAL takes no gradient step: "
-        "it is given the\nepisodes that the others are fine-tuned on. The others' steps differ, which "
-        "[LEADERBOARD.md](../leaderboard/LEADERBOARD.md)\ntells of each entry, and DADT's alone were chosen by "
-        "held-out dynamics: these are numbers of unequal effort.\n",
+        ADAPTED,
         tables.scores(entries, "adaptation"),
     ]
 

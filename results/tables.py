@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from agents import TRAINABLE
 from agents.evaluate import COMPARED
+from agents.run_folder import DATA, RunSettings
 from agents.summary.builder import final_text
 from agents.summary.intervals import Estimate, estimate
 from agents.summary.runs import Run, grouped
@@ -60,9 +61,9 @@ def errors(found: Sequence[Errors]) -> str:
     """Next-state errors by robot, ours and the paper's (its Table 3)."""
     lines = []
     for agent, name in PREDICTORS.items():
-        own = error_estimates(found, agent)
+        own = {one.robot: one.values for one in found if one.agent == agent}
         if own:
-            lines.append([name, *(_estimate_text(own.get(robot)) for robot in ids.ROBOTS)])
+            lines.append([name, *_final_texts(own)])
         if name in PUBLISHED_ERRORS:
             published = [f"{mean:.4f} ± {std:.4f}" for mean, std in PUBLISHED_ERRORS[name]]
             lines.append([f"*{name}, the paper*", *published])
@@ -133,10 +134,12 @@ TOLD: Final = ("steps", "batch_size", "learning_rate", "warmup_steps", "decay_st
 
 
 def _other_settings(run: Run) -> str:
-    """What else of a run's config is not its agent's default, as `--` options; – for nothing."""
+    """What else of a run's config and data is not the default, by the options' names; – for nothing."""
     config = run.about["config"]
     usual = dataclasses.asdict(TRAINABLE[run.about["agent"]][0]().for_robot(run.facts["robot"]))
     changed = {key: value for key, value in config.items() if key not in TOLD and value != usual.get(key, value)}
+    settings, whole = run.about["settings"], dataclasses.asdict(RunSettings(run.facts["robot"]))
+    changed |= {key: settings[key] for key in (*DATA, "patience") if settings.get(key, whole[key]) != whole[key]}
     return ", ".join(f"{key.replace('_', '-')} {value}" for key, value in changed.items()) or "–"
 
 
@@ -208,7 +211,7 @@ def compute(times: Mapping[str, float], published: str) -> str:
 
 
 def _final_texts(found: Scores) -> list[str]:
-    """A cell a robot: the mean over runs of their means over dynamics, and how many runs."""
+    """A cell for each robot: the mean over runs of their means over dynamics, and how many runs."""
     cells = []
     for robot in ids.ROBOTS:
         own = found[robot].mean(axis=1).tolist() if robot in found else []
@@ -232,9 +235,13 @@ def _evidence(one: Evidence) -> str:
     text = f"{one.what}: {one.estimate.value:.2f}"
     if one.estimate.interval is not None:
         text += " [{:.2f}, {:.2f}]".format(*one.estimate.interval)
-    fewest, most = sorted(one.runs)
-    runs = f"{most} run{'s' * (most != 1)} each" if fewest == most else f"{one.runs[0]} and {one.runs[1]} runs"
-    at_least = "at least " if len(one.robots) > 1 else ""  # it is the number on the robot with fewest
+    robots, at_least = ", ".join(one.robots), ""
+    if len(one.each) > 1:
+        robots = ", ".join(f"{robot} {own.value:.2f}" for robot, own in zip(one.robots, one.each, strict=True))
+        at_least = "at least "  # it is the number on the robot with fewest
+    runs = f"{one.runs[0]} {'and' if one.chance is None else 'to'} {one.runs[1]} runs"
+    if one.runs[0] == one.runs[1]:
+        runs = f"{one.runs[0]} run{'s' * (one.runs[0] != 1)} each"
     if one.chance is not None:
         text += f", as wide by chance p {f'= {one.chance:.3f}' if one.chance >= 0.001 else '< 0.001'}"
-    return f"{text} ({', '.join(one.robots)}; {at_least}{runs})"
+    return f"{text} ({robots}; {at_least}{runs})"

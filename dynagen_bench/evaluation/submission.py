@@ -152,6 +152,11 @@ class Submission(pydantic.BaseModel):
         """The states of the code that made the runs, as far as they are told; in the order of the runs."""
         return list(dict.fromkeys(commit for run in self.runs if (commit := run.commit or self.commit)))
 
+    @property
+    def untold(self) -> int:
+        """Number of runs of which no state of the code is told."""
+        return sum(not (run.commit or self.commit) for run in self.runs)
+
     @pydantic.model_validator(mode="after")
     def _version_has_the_fields(self) -> "Submission":
         if self.format_version == 1 and (
@@ -196,6 +201,14 @@ def submission_text(submission: Submission) -> str:
     return text + "\n"
 
 
+def submission_content(submission: Submission) -> bytes:
+    """The bytes of the file; raises ValueError if they are more than what is read again."""
+    content = submission_text(submission).encode("utf-8")
+    if len(content) > MAX_BYTES:
+        raise ValueError(f"the submission takes {len(content)} bytes, at most {MAX_BYTES} are read: give fewer runs")
+    return content
+
+
 def schema_text() -> str:
     """The JSON Schema of `submission.json`, as text; the limits that only code can state are in the documentation."""
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema"} | Submission.model_json_schema()
@@ -216,9 +229,7 @@ def write_submission(folder: Path, submission: Submission, traces: Iterable[Trac
     Raises:
         ValueError: the text would be larger than what is read again, or a run's traces are not given.
     """
-    content = submission_text(submission).encode("utf-8")
-    if len(content) > MAX_BYTES:
-        raise ValueError(f"the submission takes {len(content)} bytes, at most {MAX_BYTES} are read: give fewer runs")
+    content = submission_content(submission)
     given = {one.sha256: one for one in traces}
     for number, run in enumerate(submission.runs):
         if run.trace is not None and run.trace not in given:

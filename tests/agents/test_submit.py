@@ -142,6 +142,10 @@ def test_the_commit_is_that_which_has_made_the_result(tmp_path, tiny_data):
     for track, commit in (("zero-shot", "a" * 40), ("adaptation", "b" * 40)):
         submit([folder], tmp_path / track, ["A. Name"], track=track)
         assert read_submission(tmp_path / track).commit == commit
+    config = json.loads((folder / "config.json").read_text())
+    (folder / "config.json").write_text(json.dumps(config | {"commit": "a" * 40 + "-dirty"}))
+    submit([folder], tmp_path / "out", ["A. Name"], track="adaptation")
+    assert read_submission(tmp_path / "out").commit is None  # no later commit has what was never committed
 
 
 def test_runs_of_several_commits_tell_their_own(tmp_path):

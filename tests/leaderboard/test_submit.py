@@ -14,6 +14,7 @@ from leaderboard import board as boards
 from leaderboard.__main__ import main
 from leaderboard.board import PAGE, build, is_current, rerun, submit
 from leaderboard.entries import VERDICT, read_entries
+from leaderboard.site.builder import SITE
 from tests.evaluation.samples import submission, traced
 from tests.leaderboard.cheats import TRACE
 
@@ -57,7 +58,9 @@ def test_a_comment_in_its_file_makes_no_other_run(cheat, board):
     run = cheat.content["runs"][0]
     cheat.content["runs"].append(run | {"seed": 1, "trace": hashlib.sha256(commented).hexdigest()})
     cheat.write_trace(content)
-    with pytest.raises(ValueError, match=r"runs\.1: 100% of its episodes are those of its run 0: give a run once"):
+    with pytest.raises(
+        ValueError, match=r"seed 1: 100% of its episodes .* the same agent's with seed 0: give a run once"
+    ):
         submit(cheat.folder, board)
 
 
@@ -68,7 +71,7 @@ def test_one_episode_that_is_anothers_makes_no_other_run(honest, cheat, board, c
     cheat.write()
     assert main(["verify", str(cheat.folder)]) == 0  # its actions do give its returns
     capsys.readouterr()
-    with pytest.raises(ValueError, match=r"runs\.0: 98% of its episodes are those of the entry '"):
+    with pytest.raises(ValueError, match=r"with seed 0: 98% of its episodes are those of the entry '"):
         submit(cheat.folder, board)
 
 
@@ -90,20 +93,64 @@ def test_runs_that_were_made_later_join_the_entry(tmp_path, board):
     assert all(commit in (board / PAGE).read_text(encoding="utf-8") for commit in ("a" * 40, "b" * 40))
 
 
+A, NONE = "a" * 40, None
+
+
+@pytest.mark.parametrize(("entrys", "laters"), [(A, NONE), (NONE, A), (A, A), (NONE, NONE)])
+def test_a_run_of_untold_code_is_not_said_to_be_of_anothers(tmp_path, board, entrys, laters):
+    traced(tmp_path / "first", seeds=(0,), commit=entrys)
+    submit(tmp_path / "first", board)
+    traced(tmp_path / "later", seeds=(1,), commit=laters)
+    whole = submit(tmp_path / "later", board, join=True).submission
+    assert [run.commit or whole.commit for run in whole.runs] == [entrys, laters]
+    line = next(line for line in (board / PAGE).read_text(encoding="utf-8").splitlines() if "- Commit: " in line)
+    told = {0: f"- Commit: {A}", 1: f"- Commit: {A}; not given of 1 runs", 2: "- Commit: not given"}
+    assert line == told[[entrys, laters].count(NONE)]
+    assert ("; not given of 1 runs" in (board / SITE).read_text(encoding="utf-8")) == (entrys != laters)
+
+
+def test_a_folder_that_had_other_runs_before_joins_what_it_has_now(tmp_path, board):
+    traced(tmp_path / "first", seeds=(0,))
+    slug = submit(tmp_path / "first", board).slug
+    traced(tmp_path / "later", seeds=(0,), agent="another", apart=7)  # leaves its traces there
+    traced(tmp_path / "later", seeds=(1,))
+    submit(tmp_path / "later", board, join=True)
+    stored = board / "entries" / slug / "traces" / "Hopper-seed0.safetensors"
+    assert stored.read_bytes() == (tmp_path / "first" / "traces" / "Hopper-seed0.safetensors").read_bytes()
+
+
+def test_runs_with_traces_join_an_entry_of_the_first_format(tmp_path, board):
+    write_submission(tmp_path / "first", submission())
+    submit(tmp_path / "first", board)
+    traced(tmp_path / "later", seeds=(5,))
+    with pytest.raises(ValueError, match="it has 0 gradient steps, the entry's on Hopper have 1000: train it as long"):
+        submit(tmp_path / "later", board, join=True)
+    traced(tmp_path / "later", ("HalfCheetah",), seeds=(5,))
+    entry = submit(tmp_path / "later", board, join=True)
+    assert (entry.submission.format_version, entry.label) == (2, "self-reported")
+    assert read_entries(board) == [entry]
+
+
 @pytest.mark.parametrize(
     ("seeds", "fields", "message"),
     [
+        (
+            (2,),
+            {"commands": ["train --robot Hopper --seed 2 --context 5"]},
+            r"differ in more than the seed, 'train --robot Hopper --seed  --context 5' is not on both sides",
+        ),
+        ((2,), {"commands": [f"command {number}" for number in range(100)]}, "with the entry's runs, commands: "),
         ((1,), {}, r"runs\.0: the entry has a run of Hopper with seed 1: leave it out, or replace the entry"),
         (
             (2,),
             {"description": "More steps."},
-            r"description: it is 'More steps\.', the entry has '.*': write the same",
+            r"description: it is 'More steps\.', the entry has '.*', and it is said once of all runs: mend",
         ),
         ((2,), {"agent": "nobody"}, "has no entry 'nobody-zero-shot-last': see `python -m leaderboard show`"),
     ],
 )
 def test_what_does_not_belong_to_an_entry_does_not_join_it(tmp_path, board, seeds, fields, message):
-    traced(tmp_path / "first", seeds=(1,))
+    traced(tmp_path / "first", seeds=(1,), commands=["train --robot Hopper --seed 1"])
     submit(tmp_path / "first", board)
     before = (board / PAGE).read_bytes()
     traced(tmp_path / "later", seeds=seeds, **fields)
@@ -117,7 +164,7 @@ def test_the_episodes_of_another_agent_are_refused(tmp_path, board, capsys):
     submit(tmp_path / "first", board)
     traced(tmp_path / "copied", agent="copied")
     with pytest.raises(
-        ValueError, match=r"runs\.0: 100% of its episodes are those of the entry 'first-zero-shot-last'"
+        ValueError, match=r"with seed 0: 100% of its episodes are those of the entry 'first-zero-shot-last'"
     ):
         submit(tmp_path / "copied", board)
     traced(tmp_path / "best", agent="first", checkpoint="best")  # its last checkpoint may be its best

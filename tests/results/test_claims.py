@@ -35,7 +35,8 @@ def test_nothing_is_claimed_of_what_has_not_been_run():
 def test_a_claim_holds_where_every_run_is_better():
     dadt, dt = entry("dadt-zero-shot-last", [100.0, 110.0, 120.0]), entry("dt-zero-shot-last", [60.0, 70.0, 80.0])
     (evidence,) = verdicts([dadt, dt])[BETTER].evidence
-    assert evidence == Evidence("DADT > DT", Estimate(1.0, (1.0, 1.0)), ("Hopper",), (3, 3))
+    always = Estimate(1.0, (1.0, 1.0))
+    assert evidence == Evidence("DADT > DT", always, ("Hopper",), (3, 3), (always,))
     assert verdicts([dadt, dt])[BETTER].verdict == "holds"
     assert "1.00 [1.00, 1.00] (Hopper; 3 runs each)" in tables.verdicts([verdicts([dadt, dt])[BETTER]])
     swapped = [
@@ -43,6 +44,26 @@ def test_a_claim_holds_where_every_run_is_better():
         entry("dt-zero-shot-last", [100.0, 110.0, 120.0]),
     ]
     assert verdicts(swapped)[BETTER].verdict == "does not hold"
+
+
+def on_robots(slug, means):
+    return Entry(slug, submission(means), "replayed")
+
+
+def test_a_robot_that_says_the_opposite_leaves_a_claim_undecided():
+    high, low = [100.0, 110.0, 120.0], [60.0, 70.0, 80.0]
+    dadt = on_robots("dadt-zero-shot-last", {"Walker": high, "Hopper": high, "Ant": low})
+    dt = on_robots("dt-zero-shot-last", {"Walker": low, "Hopper": low, "Ant": high})
+    found = verdicts([dadt, dt])[BETTER]
+    (evidence,) = found.evidence
+    # of each three runs: all above on two robots, all below on the third, so that no resample is anything else
+    assert evidence.estimate.value == pytest.approx(2 / 3)
+    assert evidence.estimate.interval[0] > 0.5
+    assert [one.value for one in evidence.each] == [1.0, 1.0, 0.0]
+    assert found.verdict == "undecided"
+    assert "0.67 [0.67, 0.67] (Walker 1.00, Hopper 1.00, Ant 0.00; at least 3 runs each)" in tables.verdicts([found])
+    equal = on_robots("dt-zero-shot-last", {"Walker": low, "Hopper": low, "Ant": [50.0, 70.0, 90.0]})
+    assert verdicts([dadt, equal])[BETTER].verdict == "holds"  # undecided on a robot is no contradiction
 
 
 def test_the_runs_of_both_sides_are_told_where_they_differ():
@@ -128,8 +149,10 @@ def test_a_weight_that_matters_is_found(weights):
 
 
 def test_two_runs_of_a_weight_decide_nothing(weights):
-    far = {0.01: [10.0, 11.0], 1.0: [50.0, 51.0], 0.1: [30.0, 31.0, 30.0], 0.5: [20.0, 21.0, 20.0]}
-    assert verdicts(groups=weights(far))[ROBUST].verdict == "undecided"
+    far = {0.01: [10.0, 11.0, 12.0], 1.0: [50.0, 51.0, 52.0], 0.1: [30.0, 31.0], 0.5: [20.0, 21.0, 20.0]}
+    found = verdicts(groups=weights(far))[ROBUST]
+    assert found.verdict == "undecided"
+    assert "(Hopper; 2 to 3 runs)" in tables.verdicts([found])  # and the best and the worst have three
 
 
 def test_weights_are_compared_on_the_robots_that_all_have(trained, tmp_path):

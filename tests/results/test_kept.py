@@ -44,10 +44,26 @@ def test_errors_measured_in_other_data_are_refused(trained, tmp_path):
         kept_errors(folder=tmp_path)
 
 
+def test_errors_of_two_agents_are_of_the_same_data(trained, tmp_path):
+    places = keep([trained(agent, errors=[0.1] * 5) for agent in ("dadt", "mlp")], "reference", tmp_path)
+    record = json.loads((places[1] / "prediction.json").read_text())
+    (places[1] / "prediction.json").write_text(json.dumps(record | {"every": 4}))
+    with pytest.raises(ValueError, match=r"of dadt and mlp on Hopper .* every and episodes \[1, 200\] and \[4, 200\]"):
+        kept_errors(folder=tmp_path)
+
+
+def test_errors_of_an_earlier_step_are_not_kept(trained, tmp_path):
+    run = trained("dadt", errors=[0.1] * 5)
+    record = json.loads((run / "prediction.json").read_text())
+    (run / "prediction.json").write_text(json.dumps(record | {"gradient_steps": 100}))
+    with pytest.raises(ValueError, match=r"is of step 100, the run is at step 200: run agents\.predict again"):
+        keep([run], "reference", tmp_path / "kept")
+
+
 @pytest.mark.parametrize("commit", ["a" * 40 + "-dirty", None])
 def test_only_runs_of_committed_code_are_kept(trained, tmp_path, commit):
     with pytest.raises(ValueError, match="commit the code and train it again"):
-        keep([trained("dadt", commit=commit)], "reference", tmp_path / "kept")
+        keep([trained("dadt"), trained("dadt", 1, commit=commit)], "reference", tmp_path / "kept")
     assert not (tmp_path / "kept").exists()
 
 

@@ -57,8 +57,8 @@ def test_the_page_has_every_part(made):
     assert "| DADT | – | " in page
     assert "(2 runs)" in page
     assert "| *DADT, the paper* | 61.12 ± 4.99 | 74.69 ± 4.22 |" in page
-    assert "| DADT | – | 0.02 ± 0 | – | – | – |" in page
-    assert "| MLP | – | 0.5 | – | – | – |" in page
+    assert "| DADT | – | 0.02 ± 0 (2 runs) | – | – | – |" in page
+    assert "| MLP | – | 0.5 (1 run) | – | – | – |" in page
     assert "| no change: the present state | – | 0.09 | – | – | – |" in page
     assert "| *DT+, the paper* | 0.2314 ± 0.0050 |" in page
     assert "| dadt | Hopper | 320 | 310 | 0.25 |" in page  # at the end, over the curve, loss at the end

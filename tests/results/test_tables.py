@@ -26,3 +26,8 @@ def test_time_and_energy_of_a_run_are_means_over_its_seeds(trained, tmp_path):
     assert found["seeds"] == "0, 1"
     assert found["wall clock"] == "90.0 min"
     assert found["energy"] == "5.62 Wh"  # 1.5 hours at 3.75 W
+
+
+def test_a_part_of_the_data_is_told(trained, tmp_path):
+    keep([trained("dadt", settings={"quality": 0.3, "hold_out": 4})], "reference", tmp_path / "kept")
+    assert cells(tables.training(kept_runs("reference", tmp_path / "kept")), 2)[6] == "quality 0\\.3, hold-out 4"
