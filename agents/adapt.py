@@ -172,7 +172,7 @@ def command(
     Args:
         run: folder of a run that training has finished.
         settings: how.
-        curve: measure instead, in the train dynamics that the run held out, what how many steps give.
+        curve: instead, measure the return after each number of steps, in the train dynamics that the run held out.
         threads: processor threads for torch; 0 leaves it to torch.
     """
     use_threads(threads)

@@ -104,7 +104,7 @@ def _command(
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
     try:
-        rich.print(tyro.cli(_command, prog="python -m agents.evaluate", args=arguments, description=__doc__))
+        rich.print(tyro.cli(_command, prog="python -m agents.evaluate", args=arguments))
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
 

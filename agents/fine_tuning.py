@@ -47,8 +47,8 @@ class AdaptationSettings:
     """
 
     steps: int = 2000
-    """Gradient steps for each dynamics. The paper does not say how many; in held-out train dynamics of Hopper 1,000 did
-    better than none and 2,000 better than 1,000 (docs/results.md), for more see `--curve`."""
+    """Gradient steps for each dynamics. The paper does not say how many. In held-out train dynamics of Hopper the
+    return rises up to 5,000 (docs/results.md, one run; `--curve` measures it); 2,000 is the default for its cost."""
     learning_rate: float | None = None
     """Constant; the paper's 1e-5 if left out, for an agent with parts of its own for each dynamics that of training."""
     weight_decay: float | None = None

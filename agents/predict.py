@@ -174,7 +174,7 @@ def summary(errors: Sequence[float]) -> str:
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
     try:
-        tyro.cli(predict, args=arguments, description=__doc__)
+        tyro.cli(predict, prog="python -m agents.predict", args=arguments)
     except (ValueError, OSError, FloatingPointError) as error:
         sys.exit(f"error: {error}")
 

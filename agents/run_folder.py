@@ -84,7 +84,8 @@ class RunSettings:
     runs: Path = Path("runs")
     """Where run folders are made."""
     name: str | None = None
-    """Name of the run folder; AGENT-ROBOT-seedSEED if left out."""
+    """Name of the run folder; if left out AGENT-ROBOT-seedSEED, and -everyN, -qualityQ, -holdoutN where these are
+    set."""
     threads: int = 0
     """Processor threads for torch; 0 leaves it to torch."""
 

@@ -28,7 +28,7 @@ def _command(run: Annotated[Path, tyro.conf.Positional], replace: bool = False) 
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
     try:
-        print(tyro.cli(_command, args=arguments))
+        print(tyro.cli(_command, prog="python -m agents.store", args=arguments))
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
 

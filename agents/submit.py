@@ -217,7 +217,7 @@ def _options(values: dict[str, Any]) -> list[str]:
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
     try:
-        path = tyro.cli(submit, args=arguments)
+        path = tyro.cli(submit, prog="python -m agents.submit", args=arguments)
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
     rich.print(f"written: {path}")

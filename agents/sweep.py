@@ -99,7 +99,7 @@ def _command(
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
     try:
-        print(tyro.cli(_command, args=arguments))
+        print(tyro.cli(_command, prog="python -m agents.sweep", args=arguments))
     except (ValueError, OSError, RuntimeError) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:

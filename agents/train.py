@@ -230,8 +230,11 @@ def parse(arguments: Sequence[str]) -> Parsed:
         SystemExit: what is no command line of this program, which is told on the error stream, or asks for help.
     """
     commands: Mapping[str, Any] = {name: _command(name, config_class) for name, (config_class, _) in TRAINABLE.items()}
+    about = (
+        "Train an agent on the data of a robot. A run that was stopped continues when the same command is given again."
+    )
     parsed: Parsed = tyro.extras.subcommand_cli_from_dict(
-        dict(commands), prog="python -m agents.train", args=arguments, description=__doc__
+        dict(commands), prog="python -m agents.train", args=arguments, description=about
     )
     return parsed
 

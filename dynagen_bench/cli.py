@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 import rich
@@ -138,7 +138,7 @@ def gallery(
 ) -> None:
     """Write one HTML page of all bodies: their factors, the same actions in several of them, their data's returns.
 
-    Needs the [pictures] extra, and EGL or OSMesa where there is no display. The page loads nothing but itself.
+    Needs EGL or OSMesa where there is no display. The page loads nothing but itself.
 
     Args:
         output: the file.
@@ -197,7 +197,7 @@ def data_build(
     A build that was stopped continues; what is there and right is kept.
 
     Args:
-        robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
+        robots: one or more of Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
         every: take every n-th snapshot alone: a part of the data, under dataset ids of its own.
         write_manifest: for maintainers: write these hashes and reference scores as the official ones.
         folder: where the stored policies are. Data of others than the package's own are not official, and take the
@@ -215,7 +215,7 @@ def data_verify(robots: Annotated[list[str], tyro.conf.Positional], every: int =
     """Read every dataset of robots again and compare its content with the manifest.
 
     Args:
-        robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
+        robots: one or more of Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
         every: of the part that has every n-th snapshot alone.
     """
     commands.verify(robots, every=every)
@@ -232,7 +232,7 @@ def data_download(
     Needs the [remotes] extra. A download that was stopped continues; what is there and right is kept.
 
     Args:
-        robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
+        robots: one or more of Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
         labels: train0 to train19, test0 to test4; none given means all 25.
         every: of the part that has every n-th snapshot alone.
         remote: hf://NAME or gcp://BUCKET; MINARI_REMOTE if not given.
@@ -253,7 +253,7 @@ def data_publish(
     Uploading needs the [remotes] extra. What was stopped continues; what is there already is not sent again.
 
     Args:
-        robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
+        robots: one or more of Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
         labels: train0 to train19, test0 to test4; none given means all 25.
         every: of the part that has every n-th snapshot alone.
         output: write a tree to this folder, beside what it has.
@@ -282,7 +282,7 @@ def baseline(
     """Evaluate a baseline in the test dynamics of robots, and write it as a submission with traces.
 
     Args:
-        robots: Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
+        robots: one or more of Walker, Hopper, HalfCheetah, SlimHumanoid, Ant.
         output: the folder of the submission.
         policy: random, zero (no action at all), behaviour (what made the test dynamics' data), or expert (the best of
             those); zero and expert have one run.
@@ -309,6 +309,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
 }
 """What may follow `dynagen`: one word, or a group's word and one of its commands."""
 
+ABOUT: Final = "DynaGen Bench: bodies, data and scores of offline dynamics generalization."
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command, or tell the version.
@@ -325,7 +327,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         tyro.extras.subcommand_cli_from_dict(
             group or COMMANDS,
             prog=f"dynagen {word}" if group else "dynagen",
-            description="DynaGen Bench: bodies, data and scores of offline dynamics generalization (--version).",
+            description=ABOUT if group else f"{ABOUT} --version tells which.",
             args=given[1:] if group else given,
         )
         sys.stdout.flush()  # here, where a reader that has gone is expected

@@ -24,7 +24,7 @@ def _command(runs: Annotated[Path, tyro.conf.Positional], output: Path = Path("s
 def main(arguments: list[str] | None = None) -> None:
     """Write the page; an error that a user can mend is one line."""
     try:
-        print(f"written: {tyro.cli(_command, args=arguments)}")
+        print(f"written: {tyro.cli(_command, prog='python -m agents.summary', args=arguments)}")
     except (ValueError, OSError, RuntimeError) as error:
         sys.exit(f"error: {error}")
 

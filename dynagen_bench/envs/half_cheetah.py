@@ -34,7 +34,7 @@ class HalfCheetah(RandomDynamics, half_cheetah_v5.HalfCheetahEnv):
     Reward of a step: `v − 0.1‖a‖²`, with v the root's displacement along x over the step's duration (m/s) and a the
     action clipped to its range.
 
-    The episode never terminates.
+    The episode terminates only after an unstable step.
 
     Start: standing, qpos moved by Uniform(−0.1, 0.1) and qvel by 0.1 · Normal(0, 1), each element.
 

@@ -262,7 +262,7 @@ def _variation(robot: str) -> list[str]:
         header = [parameter.element, f"nominal, {parameter.unit}", "train min", "train max", "test min", "test max"]
         blocks += [
             f"### {parameter.field}",
-            f"{parameter.meaning.capitalize()}.{NUMBERS.get(parameter.field, '')}",
+            _prose(f"{parameter.meaning.capitalize()}.{NUMBERS.get(parameter.field, '')}"),
             table(header, rows, numbers_from=1),
         ]
     return blocks

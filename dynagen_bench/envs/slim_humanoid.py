@@ -44,7 +44,7 @@ class SlimHumanoid(RandomDynamics, humanoid_v5.HumanoidEnv):
     Reward of a step: `1.25 v − 0.1‖a‖² + 5·[1 ≤ z ≤ 2]`, with v the root's displacement along x over the step's duration
     (m/s), z the torso's height at the new state (m) and a the action clipped to its range.
 
-    The episode never terminates.
+    The episode terminates only after an unstable step.
 
     Start: standing, each element of qpos and qvel moved by Uniform(−0.01, 0.01), m, rad, m/s and rad/s.
 

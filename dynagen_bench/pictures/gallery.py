@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import gymnasium
+import jinja2
 from PIL import Image
 
 from dynagen_bench import ids
 from dynagen_bench.collection.policies import POLICY_FOLDER
-from dynagen_bench.pictures.backend import choose_backend, require
+from dynagen_bench.pictures.backend import choose_backend
 from dynagen_bench.pictures.factors import Group, factor_groups, legend
 from dynagen_bench.pictures.returns import BINS, HEIGHT, Distributions, distributions, load_returns
 from dynagen_bench.pictures.strips import LABELS, STEPS, Strip, draw_strips, make_strip
@@ -59,11 +60,8 @@ def write_gallery(
 
     Raises:
         ValueError: an unknown robot or dynamics, none or one twice, or data that are damaged.
-        RuntimeError: the [pictures] extra or a GL backend is missing.
+        RuntimeError: a GL backend is missing.
     """
-    require("jinja2", "the gallery")
-    import jinja2
-
     for chosen in (robots, labels):
         if not chosen or len(set(chosen)) != len(chosen):
             raise ValueError(f"{list(chosen)} names nothing or something twice: give at least one, and none twice")

@@ -9,6 +9,8 @@ import importlib.resources
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
+import jinja2
+import markupsafe
 import rich.console
 import rich.progress
 
@@ -16,7 +18,6 @@ from dynagen_bench import ids
 from dynagen_bench.datasets.scores import score_range
 from dynagen_bench.envs import HORIZON
 from dynagen_bench.evaluation import EPISODES
-from dynagen_bench.pictures.backend import require
 from leaderboard.entries import LABELS, Entry
 from leaderboard.markdown import number_text, rank_text
 from leaderboard.published import PUBLISHED
@@ -109,12 +110,7 @@ def site_page(entries: Sequence[Entry]) -> str:
 
     Raises:
         ValueError: an entry is on a robot that has no reference scores.
-        RuntimeError: the [pictures] extra is missing.
     """
-    require("jinja2", "the leaderboard's page")
-    import jinja2
-    import markupsafe
-
     tables = standings(entries)
     scale = _scale(tables)
     sections = [_section(table, scale) for table in tables]

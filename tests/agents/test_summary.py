@@ -17,8 +17,6 @@ from agents.summary.runs import grouped, read_runs
 from tests.leaderboard.test_site import HOSTILE, outline
 from tests.pictures.test_gallery import CHROMIUM, CHROMIUM_ARGUMENTS
 
-pytest.importorskip("jinja2")
-
 
 def write_run(folder, seed=0, points=((10, 1.0), (20, 3.0)), agent="dadt", robot="Hopper", name=None, **config):
     """A run folder with the curve `test_return`, and a loss that falls to a hundredth."""

@@ -10,11 +10,8 @@ from dynagen_bench.datasets import reference_scores
 from dynagen_bench.datasets.manifest import check_official, read_manifest
 from dynagen_bench.datasets.scores import normalized_score, score_range
 
-COLLECTED = ("Walker", "Hopper", "HalfCheetah", "SlimHumanoid")
-"""Robots whose behaviour policies are in the package."""
 
-
-@pytest.mark.parametrize("robot", COLLECTED)
+@pytest.mark.parametrize("robot", ids.ROBOTS)
 def test_every_dynamics_has_its_twenty_policies_of_the_one_setting(robot):
     settings = SETTINGS[robot]
     steps = range(settings.snapshot_every, settings.total_steps + 1, settings.snapshot_every)
@@ -29,7 +26,7 @@ def test_every_dynamics_has_its_twenty_policies_of_the_one_setting(robot):
     assert len(hashes) == 25 * 20
 
 
-@pytest.mark.parametrize("robot", COLLECTED)
+@pytest.mark.parametrize("robot", ids.ROBOTS)
 def test_manifest_and_scores_are_complete(robot):
     manifest, scores = read_manifest(), reference_scores(robot)
     for every in (1, 4):

@@ -19,8 +19,6 @@ from tests.evaluation.samples import submission, write_references
 from tests.leaderboard.test_markdown import printable_lines
 from tests.pictures.test_gallery import CHROMIUM, CHROMIUM_ARGUMENTS
 
-pytest.importorskip("jinja2")
-
 HOSTILE = (
     "<script>alert(1)</script>",
     "</script><script>alert(2)</script>",
