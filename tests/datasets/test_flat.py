@@ -5,9 +5,11 @@ import errno
 import functools
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import h5py
 import minari
@@ -82,6 +84,37 @@ def test_types_are_the_documented_ones_and_rows_are_mapped(tiny_data):
     assert dtypes.pop("episode_returns") == np.float64
     assert dtypes.pop("episode_terminated") == np.bool_
     assert set(dtypes.values()) == {np.dtype(np.int64)}
+
+
+def mapped_memory(file):
+    """Kilobytes that this process has of a file's pages: all of them, its share of them, and those it has alone."""
+    maps = Path("/proc/self/smaps").read_text().split(str(file))[1]
+    return [int(re.search(rf"^{what}: +(\d+) kB$", maps, re.MULTILINE)[1]) for what in ("Rss", "Pss", "Private_Dirty")]
+
+
+OTHER_READER = """
+from dynagen_bench import load_dataset
+data = load_dataset("Hopper", progress=False)
+print(float(data.observations.sum()), flush=True)
+input()
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/smaps").exists(), reason="this system does not tell whose a page is")
+def test_two_processes_have_the_same_pages(tiny_data):
+    data = load_dataset("Hopper")
+    total = float(data.observations.sum())
+    file = data.observations.filename
+    alone, share, _ = mapped_memory(file)
+    assert alone == share > 0
+    command = [sys.executable, "-c", OTHER_READER]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert float(other.stdout.readline()) == total
+        both, share, private = mapped_memory(file)
+        other.communicate("\n")
+    assert both == alone
+    assert share == pytest.approx(both / 2, abs=4)  # half of each page is the other's
+    assert private == 0
 
 
 def test_train_is_the_default_and_has_no_test_episode(tiny_data):
