@@ -44,9 +44,13 @@ def blockwise(act: Callable[[Seen], Tensor], device: torch.device) -> Callable[[
         threads = torch.get_num_threads()
         if threads == 1 or device.type != "cpu":
             return torch.cat(list(map(act_alone, blocks)))[:lanes]
-        with ThreadPoolExecutor(min(threads, len(blocks)), initializer=torch.set_num_threads, initargs=(1,)) as pool:
-            actions = list(pool.map(act_alone, blocks))
-        torch.set_num_threads(threads)  # the others' calls are for their threads, and for all threads to come
+        try:
+            with ThreadPoolExecutor(
+                min(threads, len(blocks)), initializer=torch.set_num_threads, initargs=(1,)
+            ) as pool:
+                actions = list(pool.map(act_alone, blocks))
+        finally:
+            torch.set_num_threads(threads)  # a worker's call changes the default of the whole process, too
         return torch.cat(actions)[:lanes]
 
     return act_in_blocks
@@ -68,7 +72,7 @@ def checked_observations(observation: NDArray[np.floating[Any]], spec: RobotSpec
 def check_rewards(rewards: NDArray[np.floating[Any]], lanes: int) -> None:
     """Raise ValueError unless rewards are (N,), N being `lanes`."""
     if np.shape(rewards) != (lanes,):
-        raise ValueError(f"rewards have shape {np.shape(rewards)}: give {(lanes,)}, one an episode")
+        raise ValueError(f"rewards have shape {np.shape(rewards)}: give {(lanes,)}, one per episode")
 
 
 class ContextPolicy:

@@ -74,7 +74,7 @@ def adapt(folder: Path, settings: AdaptationSettings) -> Path:
 def _adapt_each(
     run: TrainedRun, settings: AdaptationSettings, names: Mapping[Path, ids.DynamicsId], facts: dict[str, Any]
 ) -> None:
-    """Make the files that are not there, of `facts`, one a dynamics."""
+    """Make the files that are not there, of `facts`, one per dynamics."""
     data = run.data(list(names.values()), settings.episodes)
     with progress_bar() as bars:
         bar = bars.add_task(f"{run.folder.name}, adapting", total=settings.steps * len(names), note="")

@@ -15,7 +15,7 @@ step here: it is given a context that is 0 to 9 steps older than cₜ, drawn at 
 
 The original's ensemble is one of probabilistic nets, whose members have bootstrapped data of their own. Here the nets
 are deterministic and minimise the square error, the windows of a batch are dealt among the members at random, and one
-encoder serves all of them, where the original has one a member. The encoder's pairs are differences of normalised
+encoder serves all of them, where the original has one per member. The encoder's pairs are differences of normalised
 states and plain actions, where the original standardises both. Planning is not needed. Written after
 github.com/younggyoseo/CaDM (cadm/dynamics/mlp_cadm_ensemble_cem_dynamics.py, core/utils.py).
 """

@@ -43,7 +43,7 @@ class Checkpoint:
         config, spec: what the agent was made of.
         seed: of the run.
         step: gradient steps done.
-        seconds: of training so far, wall clock.
+        seconds: wall clock of the run so far, evaluations included.
         parameters: name → tensor.
         optimizer: parameter's name → slot of AdamW → tensor; empty where only the agent is kept.
         versions: package → version that wrote it.

@@ -15,12 +15,13 @@ import torch
 
 from agents.interface import Sampler
 from dynagen_bench.datasets import Normalization, OfflineDataset, WindowSampler
+from dynagen_bench.envs import HORIZON
 
 Precision = Literal["float32", "bfloat16"]
 
 # Lowest and highest value of each field, both allowed; a whole number is wanted where the low end is an int.
 _TRAINING_RANGES: Final[dict[str, tuple[float, float]]] = {
-    "context": (1, 200),
+    "context": (1, HORIZON),
     "batch_size": (1, 1_000_000),
     "steps": (1, 1_000_000_000),
     "warmup_steps": (0, 1_000_000_000),
@@ -41,7 +42,7 @@ _TRANSFORMER_RANGES: Final[dict[str, tuple[float, float]]] = {
 
 @functools.cache
 def fast_precision() -> Precision:
-    """bfloat16 where CUDA or the processor (avx512_bf16, amx_bf16, Arm's bf16) multiplies it, which float32 is not."""
+    """bfloat16 where a GPU (compute capability 8.0 on) or the processor (avx512_bf16, amx_bf16, Arm's bf16) has it."""
     if torch.cuda.is_available():
         return "bfloat16" if torch.cuda.get_device_capability() >= (8, 0) else "float32"
     processors = Path("/proc/cpuinfo")

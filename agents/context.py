@@ -81,7 +81,7 @@ class ContextActor:
     ) -> tuple[NDArray[np.float32], Any]:
         """Actions (N, A) float32 for observations (N, S); what the last step has shown becomes part of z.
 
-        `state` and `deterministic` are not used, as in `acting.ContextPolicy`, whose errors these are too.
+        `state` and `deterministic` are not used, as in `acting.ContextPolicy`. An episode may have any length.
 
         Raises:
             ValueError: observations of another shape.

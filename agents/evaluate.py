@@ -76,7 +76,7 @@ def _untrained(run: TrainedRun) -> object:
 
 
 def table(records: Sequence[Mapping[str, Any]]) -> rich.table.Table:
-    """A line a run: the mean returns over its dynamics."""
+    """A line per run: the mean returns over its dynamics."""
     shown = rich.table.Table("run", "steps", "dynamics", *COMPARED, title="mean return in train dynamics")
     for record in records:
         means = (f"{sum(record[what]) / len(record[what]):.1f}" for what in COMPARED)

@@ -47,8 +47,9 @@ class AdaptationSettings:
     """
 
     steps: int = 2000
-    """Gradient steps for each dynamics. The paper does not say how many. In held-out train dynamics of Hopper the
-    return rises up to 5,000 (docs/results.md, one run; `--curve` measures it); 2,000 is the default for its cost."""
+    """Gradient steps for each dynamics; the paper gives no number. In held-out train dynamics of Hopper the mean return
+    first falls, until some 500 steps, and still rises at 5,000, the last point measured (docs/results.md, one run;
+    `--curve` measures it). 2,000 is the default for its cost."""
     learning_rate: float | None = None
     """Constant; the paper's 1e-5 if left out, for an agent with parts of its own for each dynamics that of training."""
     weight_decay: float | None = None

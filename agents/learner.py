@@ -19,7 +19,7 @@ class Learner:
 
     Attributes:
         step: updates done.
-        seconds: that training has taken.
+        seconds: wall clock of the run so far, evaluations included.
         phase_of: an agent that learns in phases stays in that of this step; None goes with `step`.
     """
 

@@ -49,7 +49,11 @@ def predict(
     episodes: int | None = EPISODES,
     threads: int = 0,
 ) -> None:
-    """Measure runs in the data of the test dynamics, write `prediction.json` in their folders, and show a table.
+    """Measure runs in the data of the test dynamics, and show a table.
+
+    Measured as training measures (no `--test-every`, no `--episodes`), the errors are also the run's record,
+    `prediction.json` in its folder. Errors are of normalised states, each run's by the part of the data that it was
+    trained on: with `--test-every`, runs of several parts are on nearly the same scale, not on the same.
 
     Args:
         runs: run folders that training has made, of any agents, robots and seeds. Those that cannot predict are named.
@@ -97,11 +101,19 @@ def check_comparable(runs: Sequence[Run], test_every: int | None) -> dict[str, i
 
     Raises:
         ValueError: runs of one agent and robot differ in more than their seed, or in nothing; or runs of one robot in
-            their part of the data while no part is asked for.
+            what their states are normalised by, or in their part of the data while no part is asked for.
     """
     check_cells(runs)
-    parts = dict[str, int]()
+    parts, first = dict[str, int](), dict[str, Run]()
     for run in runs:
+        other = first.setdefault(run.checkpoint.spec.robot, run)
+        for setting in ("quality", "hold_out"):
+            if run.settings[setting] != other.settings[setting]:
+                raise ValueError(
+                    f"{setting} of {other.folder} is {other.settings[setting]!r}, of {run.folder} "
+                    f"{run.settings[setting]!r}: their states are normalised by other data, so that the errors are on "
+                    "two scales, give them apart"
+                )
         part = parts.setdefault(run.checkpoint.spec.robot, run.every if test_every is None else test_every)
         if test_every is None and part != run.every:
             raise ValueError(
@@ -138,13 +150,14 @@ def _facts(run: Run) -> dict[str, Any]:
 
 
 def measure(run: Run, every: int, episodes: int | None) -> PredictionErrors | None:
-    """The errors of a run, which are written to its folder too; None if its agent cannot predict."""
+    """The errors of a run, written to its folder if measured as training does; None if its agent cannot predict."""
     predictor, spec = run.checkpoint.build_agent(), run.checkpoint.spec
     if not isinstance(predictor, Predictor):
         return None
     test = load_dataset(spec.robot, "test", every=every)
     errors = prediction_errors(predictor, test, spec.normalization, run.checkpoint.config.context, episodes=episodes)
-    write_prediction(run.folder, run.checkpoint, errors, every, episodes)
+    if (every, episodes) == (run.every, EPISODES):  # the run's own record; what else is asked for is shown alone
+        write_prediction(run.folder, run.checkpoint, errors, every, episodes)
     return errors
 
 

@@ -177,7 +177,7 @@ def write_prediction(
         checkpoint: that was measured.
         errors: its errors in the test dynamics.
         every: the part of the data that they are of, one in this many snapshots.
-        episodes: at most as many of each dynamics; None stands for all.
+        episodes: at most this many of each dynamics; None stands for all.
     """
     record = {
         "agent": checkpoint.agent,

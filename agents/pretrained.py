@@ -19,6 +19,7 @@ from agents import AGENTS
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.fine_tuning import TrainedRun
 from agents.interface import Agent
+from agents.recording import score_if_known
 from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.whole import whole_file
 
@@ -83,7 +84,7 @@ def store_run(run: Path, replace: bool = False, folder: Path = FOLDER) -> Path:
         raise ValueError(f"{path} is there, with score {read_about(path)['score']}: give --replace to store this run")
     evaluation = Evaluation.from_json(record["evaluation"])
     about = {
-        "score": _score(evaluation),
+        "score": score_if_known(evaluation).get("test_score"),
         "mean_return": float(evaluation.returns.mean()),
         "settings": config["settings"],
         "data": config["data"],
@@ -114,10 +115,3 @@ def read_about(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} tells nothing of its run: store it by python -m agents.store")
     about: dict[str, Any] = json.loads(text)
     return about
-
-
-def _score(evaluation: Evaluation) -> float | None:
-    try:
-        return evaluation.score
-    except ValueError:  # no reference scores of this robot yet
-        return None

@@ -188,7 +188,7 @@ def locked(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ValueError(f"another process is training in {folder}: wait for it, or give another --name") from None
+            raise ValueError(f"another process works in {folder}: wait for it, or use another run folder") from None
         yield
 
 

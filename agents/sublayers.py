@@ -27,8 +27,8 @@ EPSILON: Final = 1e-5
 class DropoutMasks:
     """Masks of one forward pass: 0 with probability `rate` (to 1/65536), 1 / (1 - rate) elsewhere.
 
-    On a processor they come from numpy's SFC64, seeded from torch's generator, which draws in half of torch's time; and
-    one 64-bit draw decides four elements.
+    On a CPU they come from numpy's SFC64, which takes half the time of torch's generator and is seeded from it; one
+    64-bit draw decides four elements.
     """
 
     def __init__(self, rate: float, generator: torch.Generator) -> None:

@@ -5,6 +5,7 @@ the demo. It must not know any agent by name, nor the leaderboard.
 """
 
 import dataclasses
+import math
 import os
 import platform
 import sys
@@ -20,7 +21,7 @@ from agents.fine_tuning import PAPER, AdaptationSettings
 from agents.run_folder import DATA, RunSettings, read_curve, read_finished, read_json
 from dynagen_bench import ids
 from dynagen_bench.evaluation.result import EpisodeRecord, first_error
-from dynagen_bench.evaluation.submission import CurvePoint, Run, Submission, write_submission
+from dynagen_bench.evaluation.submission import MAX_POINTS, CurvePoint, Run, Submission, write_submission
 from dynagen_bench.evaluation.traces import Traces, load_traces
 
 Track = Literal["zero-shot", "adaptation"]
@@ -125,6 +126,7 @@ def _read_run(folder: Path, checkpoint: str, track: Track) -> FinishedRun:
     evaluation = EpisodeRecord.model_validate(record["evaluation"]).evaluation()
     traces = load_traces(folder / f"{name}.safetensors", evaluation.robot, evaluation.lengths)
     points = [] if track == "adaptation" else read_curve(folder, "test_return")  # it is of agents without fine-tuning
+    points = points[:: -max(1, math.ceil(len(points) / MAX_POINTS))][::-1]  # as many as are taken, the last among them
     curve = [CurvePoint(gradient_steps=step, mean_return=value) for step, value in points]
     return FinishedRun(config, last, record, traces, curve)
 

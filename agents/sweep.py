@@ -1,4 +1,4 @@
-"""Many runs, each a job: `python -m agents.sweep "{dadt,dt} --robot {Hopper,Walker} --seed {0,1,2} --steps 20000"`.
+"""Many runs, each a job: `python -m agents.sweep "{dadt,dt} --robot {Hopper,Walker} --seed {0,1,2} --steps 5000"`.
 
 What is here: running what `sweep_plan` has read, and the page of the curves. Called from the command line; `train_one`
 by a job's process. It must not know how a run goes, nor how jobs are run.
@@ -7,6 +7,7 @@ What a run is, its resolved config, is part of its job; the command that makes i
 that was stopped goes on when the same command is given again.
 """
 
+import contextlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -45,7 +46,7 @@ def sweep(lines: Sequence[str], runs: Path, processes: int | None = None, ray: s
     Args:
         lines: command lines of `agents.train` with braces.
         runs: the folder.
-        processes: how many at once; None is one a processor.
+        processes: how many at once; None is one per processor.
         ray: None runs them here; "local" or the address of a cluster runs them on Ray, whose nodes need the data.
 
     Raises:
@@ -60,8 +61,11 @@ def sweep(lines: Sequence[str], runs: Path, processes: int | None = None, ray: s
             load_dataset(robot, "train", every=every)
     try:
         run_jobs([one.job for one in todo], runs, processes=processes, ray=ray)
-    finally:
-        write_summary(runs, runs / SUMMARY)
+    except BaseException:  # an interruption too
+        with contextlib.suppress(ValueError):  # why it stopped matters more than a page that cannot be made
+            write_summary(runs, runs / SUMMARY)
+        raise
+    write_summary(runs, runs / SUMMARY)
     return planned
 
 
@@ -84,9 +88,9 @@ def _command(
 
     Args:
         lines: each the arguments of `python -m agents.train` in quotes, braces in it expanded as a shell does.
-        jobs_file: more of them, one a line; lines that begin with `#` are comments.
+        jobs_file: more of them, one per line; lines that begin with `#` are comments.
         runs: folder of the run folders and of summary.html.
-        processes: how many at once; one a processor if left out.
+        processes: how many at once; one per processor if left out.
         ray: "local", or the address of a cluster.
     """
     if (git_commit() or "").endswith("-dirty"):

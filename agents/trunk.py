@@ -20,7 +20,7 @@ INITIAL_STD: Final = 0.02
 """Of every weight of the trunk, as GPT-2; biases start at 0."""
 
 PADDED: Final = -1e30
-"""Added to the score of a key that is padding: beside a key that is none, its weight is exactly 0."""
+"""Added to the score of a padding key: beside any real key its weight is exactly 0."""
 
 
 def linear(inputs: int, outputs: int, generator: torch.Generator, std: float | None = None) -> nn.Linear:

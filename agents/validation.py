@@ -87,5 +87,5 @@ def check_patience(name: str, agent: Trainable, patience: int) -> None:
 
 
 def has_stalled(returns: Sequence[float], patience: int) -> bool:
-    """The last `patience` of the returns are no better than the best before them; never, of patience 0."""
+    """Whether none of the last `patience` returns beats the best before them; always False of patience 0."""
     return 0 < patience < len(returns) and max(returns[-patience:]) <= max(returns[:-patience])

@@ -63,7 +63,7 @@ def dynamics_show(robot: Robot, label: Annotated[str, tyro.conf.Positional]) -> 
 
 
 def dynamics_draw(robot: Robot, seed: int, count: int = 1) -> None:
-    """Draw new dynamics as the benchmark's own were drawn, and print them as JSON, one a line.
+    """Draw new dynamics as the benchmark's own were drawn, and print them as JSON, one per line.
 
     Each line is what `gymnasium.make("Hopper-RandDyn-v0", dynamics=...)` takes.
 
@@ -177,7 +177,7 @@ def collect(
         robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
         labels: train0 to train19, test0 to test4; none given means all 25.
         folder: where the policies are kept.
-        processes: how many at once; one a processor if not given.
+        processes: how many at once; one per processor if not given.
         ray: run them on Ray: "local", or the address of a cluster, "auto" or HOST:PORT; needs the [cluster] extra.
         change: another setting of SAC for a trial, as `--change learning_rate=1e-3`; may be given again.
     """
@@ -338,7 +338,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.stderr.write(f"dynagen: {error}\n")
         sys.exit(2)
     except KeyboardInterrupt:
-        sys.stderr.write("dynagen: stopped: give the same command again to continue\n")
+        sys.stderr.write("dynagen: stopped: `collect` and `data` continue when the same command is given again\n")
         sys.exit(130)
 
 

@@ -13,7 +13,7 @@ from leaderboard.verify import RunCheck
 
 
 def checks_table(name: str, checks: Sequence[RunCheck]) -> rich.table.Table:
-    """A line a run of one submission: what was replayed, its official score, the result, seconds."""
+    """A line per run of one submission: what was replayed, its official score, the result, seconds."""
     # Text objects, because a plain string would be read for rich's own markup
     table = rich.table.Table(title=Text(name))
     table.add_column("Robot")

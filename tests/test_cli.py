@@ -88,7 +88,10 @@ def test_a_stopped_command_ends_in_one_line(capsys, monkeypatch):
     with pytest.raises(SystemExit) as ended:
         main(["data", "list"])
     assert ended.value.code == 130
-    assert capsys.readouterr().err == "dynagen: stopped: give the same command again to continue\n"
+    assert (
+        capsys.readouterr().err
+        == "dynagen: stopped: `collect` and `data` continue when the same command is given again\n"
+    )
 
 
 @pytest.mark.parametrize("count", [1, 200])

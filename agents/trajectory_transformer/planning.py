@@ -65,7 +65,7 @@ class Continuations(Protocol):
         """Go on with sequences `rows` (B, R') of 0 … R - 1."""
 
     def add(self, tokens: Tensor) -> Tensor:
-        """Add tokens (B, R), one a sequence → logits (B, R, N + 1) of the next."""
+        """Add tokens (B, R), one per sequence → logits (B, R, N + 1) of the next."""
 
 
 class Plans(NamedTuple):

@@ -183,7 +183,7 @@ class Branches:
         self._coming = coming
 
     def add(self, tokens: Tensor) -> Tensor:
-        """Add tokens (B, R), one a sequence → logits (B, R, N + 1) float32 of the next."""
+        """Add tokens (B, R), one per sequence → logits (B, R, N + 1) float32 of the next."""
         model = self._model
         transition, dimension = divmod(self._position, model.dimensions)
         x = model.embed(tokens[..., None], dimension)[:, :, 0] + model.positions[transition, dimension]  # (B, R, D)

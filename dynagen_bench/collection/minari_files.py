@@ -91,6 +91,8 @@ def build_dataset(
         found = policy_metadata.get("dynamics", "no dynamics named")
         raise ValueError(f"{path} holds policies of {found}, not of {name.env_id}: restore it from the repository")
     chosen = every_nth(snapshots, every)
+    if episodes_per_snapshot < 1:
+        raise ValueError(f"episodes_per_snapshot is {episodes_per_snapshot}: give a whole number from 1 on")
     recipe = _recipe(name, chosen, episodes_per_snapshot, every)
     total = len(chosen) * episodes_per_snapshot
     folder = dataset_folder(name.part_id(every))

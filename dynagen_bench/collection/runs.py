@@ -34,7 +34,7 @@ def collect(
         names: the dynamics.
         settings: what SAC is trained with.
         folder: of the policies, `{robot}/{label}.safetensors`.
-        processes: how many at once; None is one a processor.
+        processes: how many at once; None is one per processor.
         ray: None runs them here; "local" or the address of a cluster runs them on Ray.
 
     Raises:
@@ -59,7 +59,8 @@ def collect(
 def _check_settings(file: Path, settings: SACSettings) -> None:
     """Raise ValueError if a stored run was trained with other settings: it would be taken for one of these."""
     try:
-        stored = load_policies(file)[1]["settings"]
+        # a setting that is newer than the run had its default
+        stored = dataclasses.asdict(SACSettings()) | load_policies(file)[1]["settings"]
     except (ValueError, KeyError):  # damaged: it is no run of any settings, and building the data says so
         return
     wanted = dataclasses.asdict(settings)

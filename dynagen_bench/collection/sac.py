@@ -1,6 +1,6 @@
 """One SAC run on one dynamics: the only file that knows a SAC library.
 
-What is here: the run and its way to stored snapshots. Called by `dynagen collect`, one process a run. It
+What is here: the run and its way to stored snapshots. Called by `dynagen collect`, one process per run. It
 needs the [collect] extra; nothing else in the package does. It must not know episodes, datasets or agents.
 """
 

@@ -19,24 +19,25 @@ class SACSettings:
     """
 
     total_steps: int = 1_000_000
-    """Environment steps (DESIGN: the paper's own number is not given)."""
+    """Environment steps; the paper does not give its number."""
     snapshot_every: int = 50_000
-    """Steps between snapshots; the first is the paper's warm-up of 50K steps."""
+    """Environment steps between snapshots; the first is taken after 50K, the paper's warm-up."""
     environments: int = 64
-    """Environments stepped at once: Python is paid once for all of them."""
+    """Environments stepped at once, which share the overhead of Python."""
     gradient_steps: int = 32
     """Updates after each step of all environments."""
     batch_size: int = 128
+    """Transitions in an update; 256 learn no better here and take 1.6 times as long (docs/behaviour-policies.md)."""
     policy_delay: int = 2
     """The actor is updated once in this many critic updates."""
     learning_rate: float = 3e-4
     gamma: float = 0.99
     hidden: int = 64
-    """Width of the actor's two hidden layers; it is what the stored policies weigh."""
+    """Width of the actor's two hidden layers; it sets the size of the stored policies."""
     critic_hidden: int = 64
     """Width of the critics' two hidden layers."""
     critic_layer_norm: bool = False
-    """Layer normalisation in the critics, which keeps them calm at a high learning rate."""
+    """Layer normalisation in the critics, which keeps them stable at a high learning rate."""
     learning_starts: int = 10_000
     """Random steps before the first update."""
     seed: int = 0
@@ -57,7 +58,7 @@ class SACSettings:
 
 
 _NEARER: Final = SACSettings(gradient_steps=64, learning_rate=1e-3, gamma=0.98)
-"""One update a step, and looks less far ahead, which helps where the robot falls seldom or never, and harms Walker."""
+"""One update per step and a shorter horizon, which helps where the robot falls seldom or never, and harms Walker."""
 
 SETTINGS: Final[Mapping[str, SACSettings]] = {
     "Walker": SACSettings(learning_rate=1e-3),

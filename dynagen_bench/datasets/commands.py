@@ -55,12 +55,17 @@ def build(
 
     Raises:
         FileNotFoundError: a robot has no stored policies.
-        ValueError: an unknown robot or none, or a dataset is not the official one; all have been made then.
+        ValueError: an unknown robot or none, other policies for the manifest, or a dataset is not the official one; all
+            have been made then.
     """
     names = _chosen(robots, ())
     for name in names:  # before the first of them is built
         load_policies(policy_file(name, policies_folder))
     foreign = records == RECORDS and policies_folder.resolve() != POLICY_FOLDER.resolve()
+    if foreign and write_manifest:
+        raise ValueError(
+            f"{policies_folder} has not the package's own policies: their data cannot be the official ones"
+        )
     manifest = {} if write_manifest or foreign else read_manifest(records)
     made: dict[ids.DynamicsId, DatasetRecord] = {}
     faults: list[str] = []
@@ -75,7 +80,7 @@ def build(
                 episodes_per_snapshot=episodes_per_snapshot,
                 every=every,
                 expected_sha256=official.sha256 if official else None,
-                reference=_official_range(name, every, records),
+                reference=None if foreign else _official_range(name, every, records),
                 progress=lambda done, total, task=task: bars.update(task, completed=done, total=total),  # type: ignore[misc]
             )
             bars.remove_task(task)

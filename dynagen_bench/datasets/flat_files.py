@@ -1,7 +1,7 @@
 """The cache of flat arrays: written once from Minari datasets, memory-mapped ever after.
 
-What is here: the files of `OfflineDataset`'s arrays, one `.npy` an array, in a folder whose name tells what it was made
-from. Called by `load_dataset`. It must not know robots, splits or what is done with the arrays.
+What is here: the files of `OfflineDataset`'s arrays, one `.npy` file per array, in a folder whose name tells what they
+are made from. Called by `load_dataset`. It must not know robots, splits or what is done with the arrays.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ LAYOUT_VERSION: Final = 1
 """Counts the changes of `OfflineDataset`'s layout: each has folders of its own."""
 
 ROW_ARRAYS: Final = ("observations", "actions", "rewards", "returns_to_go")
-"""Arrays of a row a step, memory-mapped; the others are of an episode each and small."""
+"""Arrays with a row per step, memory-mapped; the others are of an episode each and small."""
 
 Arrays = dict[str, NDArray[Any]]
 

@@ -1,4 +1,4 @@
-"""What may differ between bodies: factors as data, their draws, and their way into an MuJoCo model."""
+"""What may differ between bodies: factors as data, their draws, and their way into a MuJoCo model."""
 
 from dynagen_bench.dynamics.draws import draw_dynamics, draw_split, draws_json, load_dynamics
 from dynagen_bench.dynamics.parameters import (

@@ -1,4 +1,4 @@
-"""The draws of the benchmark: 20 train and 5 test dynamics a robot, and how one makes more.
+"""The draws of the benchmark: 20 train and 5 test dynamics of each robot, and how one makes more.
 
 What is here: drawing from a seed, and reading the reviewed draws of v0 from the package's JSON files. Called by the
 environments and the command line. It must not know how factors reach a model.
@@ -17,7 +17,7 @@ from dynagen_bench import ids
 from dynagen_bench.dynamics.parameters import PARAMETERS, Dynamics, nominal_robot
 
 SEED: Final = 20221128
-"""Entropy of v0's draws: the first day of NeurIPS 2022, whose workshops saw the paper."""
+"""Entropy of v0's draws: the first day of NeurIPS 2022, where the paper appeared at a workshop."""
 
 DRAWN: Final = tuple(
     parameter

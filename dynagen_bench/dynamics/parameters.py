@@ -1,4 +1,4 @@
-"""What may differ between two bodies of one robot, and how a set of factors becomes an MuJoCo model.
+"""What may differ between two bodies of one robot, and how a set of factors becomes a MuJoCo model.
 
 What is here: the table of the four varied parameters, `Dynamics` (plain factors by element name) and `apply_dynamics`.
 Called by the environments, the drawing code and the command line. It must not know splits, seeds or files.
@@ -54,9 +54,9 @@ class Dynamics:
     """Factors on one robot's nominal parameters; an element that is not named keeps its nominal value.
 
     Attributes:
-        body_mass, body_inertia: body name → factor, 1.
-        dof_damping: degree of freedom → factor, 1.
-        geom_friction: geom name → factor, 1.
+        body_mass, body_inertia: body name → factor, without unit.
+        dof_damping: degree of freedom → factor, without unit.
+        geom_friction: geom name → factor, without unit.
     """
 
     body_mass: Mapping[str, float] = dataclasses.field(default_factory=dict)
@@ -184,8 +184,8 @@ def factor_array(robot: str, dynamics: Dynamics, parameter: Parameter) -> NDArra
 def apply_dynamics(robot: str, model: mujoco.MjModel, dynamics: Dynamics) -> None:
     """Write nominal × factor into `model` and recompute what MuJoCo derives from it.
 
-    Starts from the nominal values and never from the model's present ones, so applying twice is applying once (a
-    neighbouring suite compounds its scales at every reset). No `MjData` of the caller's is touched.
+    Starts from the nominal values and never from the model's present ones, so applying twice is applying once. No
+    `MjData` of the caller's is touched.
 
     Raises:
         ValueError: the dynamics names an element that the robot does not have.

@@ -49,7 +49,7 @@ class Transition(NamedTuple):
     velocities: dict[str, Values]
     """`x_velocity`, and `y_velocity` where the root is free: (M,) float64, m/s."""
     terms: Reward
-    """Terms of the rewards; of an unstable step they are what they would be without its reward of 0."""
+    """Terms of the rewards; of an unstable step they are those before its reward was set to 0."""
 
 
 class BatchPhysics:
@@ -70,7 +70,7 @@ class BatchPhysics:
 
         Args:
             robot: one of `ids.ROBOTS`.
-            dynamics: one a simulation; the same object for several of them is compiled once.
+            dynamics: one per simulation; the same object for several of them is compiled once.
             threads: physics threads, 0 for all processors; the bits are the same at any number.
             rules: the task's numbers, the robot's own if None.
 

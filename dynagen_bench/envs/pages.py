@@ -1,4 +1,4 @@
-"""A page an environment: what it is, how it is made, what of it varies and how that was drawn.
+"""A page per environment: what it is, how it is made, what of it varies and how that was drawn.
 
 What is here: `environment_page`, Markdown written from the docstrings of the robots, of `Rules` and of the draws, and
 from the draws themselves. Called by `dynagen page`. It must not know data, agents or scores.
@@ -161,7 +161,7 @@ def _common_differences(robot: str) -> str:
     horizon = gymnasium.spec(ids.v0_env_id(robot)).max_episode_steps
     return "\n".join(
         [
-            "Of every robot of the benchmark:",
+            "For every robot of the benchmark:",
             "",
             f"- An episode is truncated after {horizon} steps, Gymnasium's after 1000.",
             '- Mass, inertia, damping and friction are drawn, as below; `split="nominal"` leaves them as they are.',
@@ -198,7 +198,7 @@ def _keywords(robot_class: type[RandomDynamics]) -> list[str]:
         "## Keyword arguments",
         table(["keyword", "default", "Gymnasium's", "meaning"], rows, numbers_from=None),
         _prose(
-            f"Rendering is Gymnasium's own: {rendering}. Without a display set `MUJOCO_GL=egl` (or `osmesa`) before "
+            f"Rendering is Gymnasium's own: {rendering}. Without a display, set `MUJOCO_GL=egl` (or `osmesa`) before "
             "Python starts; Gymnasium's `RecordVideo` needs `moviepy` too."
         ),
     ]

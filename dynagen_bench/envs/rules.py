@@ -21,7 +21,7 @@ Healthy = Callable[["Rules", Array], Flags]
 
 
 def always_healthy(rules: "Rules", states: Array) -> Flags:
-    """Healthiness of a robot that has none: True for each state."""
+    """Of a robot without a condition of health: every state is healthy."""
     return np.ones(len(states), dtype=np.bool_) if states.ndim > 1 else np.bool_(True)
 
 

@@ -205,7 +205,7 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
 
     @property
     def is_healthy(self) -> bool:
-        """Whether the present state is healthy by our rules, as `step` asks; so are the other terms of the reward."""
+        """Whether the present state is healthy by our rules, which `step` uses, as do the properties below."""
         return bool(self.rules.healthy(self.rules, self._state()))
 
     @property

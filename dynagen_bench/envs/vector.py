@@ -176,7 +176,7 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         if not isinstance(given, Sequence | np.ndarray):
             raise ValueError(f"seed is {given!r}: give a whole number, a list of {self.num_envs}, or None")
         if len(given) != self.num_envs:
-            raise ValueError(f"{len(given)} seeds given: give {self.num_envs}, one a sub-environment, or one number")
+            raise ValueError(f"{len(given)} seeds given: give {self.num_envs}, one per sub-environment, or one number")
         plain = [ids.whole_number(seed) for seed in given]
         # what is neither a whole number nor None is left for Gymnasium to refuse
         return [seed if number is None else number for seed, number in zip(given, plain, strict=True)]

@@ -63,7 +63,8 @@ def behaviour_policy(robot: str, seed: int, folder: Path = POLICY_FOLDER) -> Sna
 def best_policy(robot: str, folder: Path = POLICY_FOLDER) -> SnapshotPolicy:
     """The best snapshot of each test dynamics, for the official evaluation, deterministic.
 
-    The best has the highest mean return of ten episodes that are not the official ones; of two, the earlier.
+    Each snapshot acts in ten episodes of its own, none of them official; that of the highest mean return is the best,
+    and of two the earlier.
     """
     rows = []
     for index, snapshots in enumerate(snapshots_of_tests(robot, folder)):

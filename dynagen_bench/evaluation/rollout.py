@@ -12,6 +12,7 @@ import gymnasium
 import gymnasium.utils.seeding
 import mujoco
 import numpy as np
+import rich.console
 import rich.progress
 from numpy.typing import NDArray
 
@@ -83,7 +84,7 @@ def evaluate(
         episodes: episodes in each dynamics.
         seed: the start states are a function of it; the official scores are those of the default.
         traces: keep what every episode did, from which the leaderboard replays it; at most 22 kB an episode.
-        progress: show a progress bar.
+        progress: show a progress bar on the error stream.
 
     Raises:
         TypeError: the policy has no `predict`.
@@ -100,7 +101,7 @@ def evaluate(
     seeds = reset_seeds(robot, split, chosen, episodes, seed)
     drawn = [load_dynamics(robot, split, index) for index in chosen]
     physics = BatchPhysics(robot, [dynamics for dynamics in drawn for _ in range(episodes)])
-    with rich.progress.Progress(disable=not progress) as bar:
+    with rich.progress.Progress(console=rich.console.Console(stderr=True), disable=not progress) as bar:
         task = bar.add_task(f"evaluating in {robot} {split}", total=HORIZON)
         observations = physics.start(np.arange(len(physics)), reset_generators(seeds))
         recorder = Recorder(physics.states, len(physics.action_limit)) if traces else None
@@ -131,7 +132,7 @@ def _run_lanes(
     recorder: Recorder | None,
     advance: Callable[[], None],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Run the episode that has started in each lane; returns (N,) float64 and lengths (N,) int64."""
+    """Run the episode that has started in each lane; gives their returns (N,) float64 and lengths (N,) int64."""
     lanes = len(physics)
     shape = (lanes, *action_space(physics.robot).shape)
     returns, lengths = np.zeros(lanes), np.zeros(lanes, dtype=np.int64)

@@ -35,6 +35,7 @@ MAX_BYTES: Final = 4 * 2**20
 
 MAX_RUNS: Final = 100
 MAX_POINTS: Final = 1000
+"""Of runs, and of points in a learning curve: so many fit into `MAX_BYTES`."""
 
 
 def _one_line(text: str) -> str:
@@ -79,8 +80,9 @@ class Run(pydantic.BaseModel):
     seed: int = pydantic.Field(ge=0, lt=2**63)
     gradient_steps: Steps
     """Updates of the parameters; 0 for what was not trained."""
+    # an `Evaluation` is taken, too; `Run.from_evaluation` also takes the hash of its traces
     evaluation: Annotated[EpisodeRecord, pydantic.BeforeValidator(_as_record)]
-    """An `Evaluation` is taken as it is; `from_evaluation` takes its traces with it."""
+    """Every episode's return, length and reset seed."""
     trace: Sha256 | None = None
     """SHA-256 of the run's trace file; null if there is none, and the run stays self-reported."""
     curve: list[CurvePoint] = pydantic.Field(default=[], max_length=MAX_POINTS)
@@ -141,8 +143,8 @@ class Submission(pydantic.BaseModel):
     """Wall-clock hours of training, all runs together."""
     versions: dict[Package, Version] = pydantic.Field(max_length=64)
     """Package name → version."""
-    commands: list[Text] = pydantic.Field(default=[], max_length=MAX_RUNS)
-    """The command lines that made the runs, if there are such."""
+    commands: list[Text] = pydantic.Field(default=[], max_length=2 * MAX_RUNS)
+    """The command lines that made the runs, if there are such: one to train each, and one to adapt it."""
     runs: list[Run] = pydantic.Field(min_length=1, max_length=MAX_RUNS)
     traces: SkipJsonSchema[None] = pydantic.Field(default=None, exclude=True)
     """Version 1 wrote it, always null."""

@@ -71,7 +71,7 @@ class Traces:
 
 
 class Recorder:
-    """Takes down N episodes while they run side by side, one a lane."""
+    """Takes down N episodes while they run side by side, one per lane."""
 
     def __init__(self, starts: NDArray[np.float64], actions: int) -> None:
         """Begin at the states (N, X), with `actions` numbers in an action."""

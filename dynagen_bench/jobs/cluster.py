@@ -131,6 +131,7 @@ class _Task:
             ray.exceptions.RayTaskError
         ) as error:  # our own code on the node: it cannot be imported, its disk is full
             self._log.write(f"{error}\n".encode())
+            self._log.flush()
             return Ended(self._key, f"on the node: {error.cause!r}")
         except ray.exceptions.RayError as error:
             return Ended(self._key, f"lost by the cluster: {type(error).__name__}", lost=True)

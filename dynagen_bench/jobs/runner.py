@@ -52,7 +52,7 @@ def run_jobs(
     Args:
         jobs: they are started in this order.
         folder: of the results; in its `.jobs` are records and logs.
-        processes: how many at once; None is one a processor, or on a cluster as many as it has room for.
+        processes: how many at once; None is one per processor, or on a cluster as many as it has room for.
         ray: None runs them here; "local" on Ray on this machine; else the address of a cluster, "auto" or HOST:PORT.
 
     Returns:

@@ -92,6 +92,21 @@ def test_episodes_act_alone_as_they_do_together_bit_for_bit(name, threads):
     assert np.array_equal(actions_of_lanes(agent, list(range(13))), together)  # one thread again
 
 
+def test_an_error_leaves_torch_its_threads():
+    def broken(seen):
+        raise RuntimeError("interrupted")
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        shown = History(*(torch.ones(3, K, *rest) for rest in ((S,), (A,), (), (), ())))
+        with pytest.raises(RuntimeError, match="interrupted"):
+            blockwise(broken, torch.device("cpu"))(shown)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+
+
 def test_blocks_hold_every_episode_once():
     for lanes in (1, LANES - 1, LANES, 2 * LANES + 1):
         history = History(*(torch.full((lanes, K, *rest), 1.0) for rest in ((S,), (A,), (), (), ())))

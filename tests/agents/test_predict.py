@@ -86,13 +86,16 @@ def test_a_table_over_agents_and_seeds(tiny_data, tmp_path, capsys):
         assert (record["gradient_steps"], record["context"]) == (0, K)
 
 
-def test_a_part_of_the_test_data(tiny_data, tmp_path):
+def test_a_part_of_the_test_data(tiny_data, tmp_path, capsys):
     folder = trained("mlp", tmp_path)
     whole = record_of(folder)
+    capsys.readouterr()
     main([str(folder), "--episodes", "1", "--threads", "1"])
-    part = record_of(folder)
-    assert part["episodes"] == 1
-    assert sum(part["prediction"]["steps"]) < sum(whole["prediction"]["steps"])
+    assert f"{whole['prediction']['mean']:.5f}" not in said(capsys)
+    assert record_of(folder) == whole  # what the run has of its training stays
+    main([str(folder), "--threads", "1"])
+    assert f"{whole['prediction']['mean']:.5f}" in said(capsys)
+    assert record_of(folder)["prediction"] == whole["prediction"]
 
 
 def test_bad_input_is_one_line(tiny_data, tmp_path, capsys):
@@ -117,6 +120,8 @@ def test_bad_input_is_one_line(tiny_data, tmp_path, capsys):
         ([whole, parts[0], "--test-every", "4"], "every of .* is 1, of .* 4: a mean over both means nothing"),
         ([whole, parts[1]], r"quality of .* is 1\.0, of .* 0\.3: a mean over both means nothing"),
         ([whole, parts[2]], "hold_out of .* is 0, of .* 2: a mean over both means nothing"),
+        ([first, parts[2]], r"hold_out of .* is 0, of .* 2: their states are normalised by other data"),
+        ([parts[1], first], r"quality of .* is 0\.3, of .* 1\.0: their states are normalised by other data"),
         ([first, first], "mlp-Hopper-seed0 and .*mlp-Hopper-seed0 are both mlp for Hopper with seed 0: give each run"),
         ([first, "--threads", "-1"], "threads is -1: give a whole number from 0 on"),
         ([first, "--episodes", "0"], "episodes is 0: give a whole number from 1 on"),

@@ -158,6 +158,17 @@ def test_runs_of_several_commits_tell_their_own(tmp_path):
     assert (made.commit, [one.commit for one in made.runs]) == (None, ["a" * 40, "b" * 40])
 
 
+def test_a_long_learning_curve_is_thinned_to_what_is_taken(tmp_path):
+    folder = run(tmp_path)
+    header = (folder / "curves.csv").read_text().splitlines()[0]
+    lines = [",".join(f"{step}" if name == "step" else "1.5" for name in header.split(",")) for step in range(1, 2501)]
+    (folder / "curves.csv").write_text("\n".join([header, *lines, ""]))
+    submit([folder], tmp_path / "out", ["A. Name"])
+    curve = read_submission(tmp_path / "out").runs[0].curve
+    assert [point.gradient_steps for point in curve[-2:]] == [2497, 2500]
+    assert len(curve) == 834  # every third, the last among them
+
+
 def test_a_part_of_the_data_and_an_early_stop_are_told(tmp_path):
     # of learning rate 0 no return is better than the first, and of patience 2 the third step is the last one
     folder = run(tmp_path, steps=9, quality=0.3, hold_out=1, patience=2, options={"learning_rate": 0.0})

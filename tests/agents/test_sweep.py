@@ -172,7 +172,7 @@ def test_a_predictor_that_was_measured_on_the_way_is_not_finished(tmp_path, monk
         patch.setattr(Learner, "update", stopped)
         with pytest.raises(SystemExit):
             train.main([*line.split(), "--runs", str(tmp_path)])
-    predict.main([str(tmp_path / one.name), "--episodes", "1"])
+    predict.main([str(tmp_path / one.name)])
     assert all((tmp_path / output).is_file() for output in one.job.outputs)
     assert not is_finished(one, tmp_path)
     train.main([*line.split(), "--runs", str(tmp_path)])
@@ -189,6 +189,20 @@ def test_a_run_that_fails_is_named_and_the_page_is_written(tmp_path, monkeypatch
     assert "\n" not in str(stop.value)
     assert str(stop.value).startswith("error: 1 of 1 jobs failed, run the same again to repeat them: dt-Hopper-seed0")
     assert "There are no runs yet." in (tmp_path / "summary.html").read_text()
+
+
+def test_a_page_that_cannot_be_made_hides_no_failed_run(tmp_path, monkeypatch):
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "config.json").write_text("{}")
+    (tmp_path / "damaged" / "curves.csv").write_text("step\n")
+
+    def failing(*arguments, **options):
+        raise RuntimeError("1 of 1 jobs failed")
+
+    monkeypatch.setattr("agents.sweep.run_jobs", failing)
+    monkeypatch.setattr("agents.sweep.load_dataset", lambda *arguments, **options: None)
+    with pytest.raises(RuntimeError, match="1 of 1 jobs failed"):
+        sweep(["dt --robot Hopper"], tmp_path)
 
 
 def test_a_file_of_lines_has_comments_and_needs_to_be_there(tmp_path):

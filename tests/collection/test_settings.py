@@ -1,4 +1,4 @@
-"""Settings of SAC: one a robot, and changes to them as text."""
+"""Settings of SAC: one per robot, and changes to them as text."""
 
 import pytest
 

@@ -121,6 +121,12 @@ def test_policies_of_ones_own_are_built_whatever_the_official_data_are(rebuild, 
         assert all(sha256 != official[name].sha256 for name, sha256 in found.items())
 
 
+def test_policies_of_ones_own_make_no_official_data(tmp_path):
+    store_random_policies(tmp_path, HOPPERS)
+    with pytest.raises(ValueError, match="has not the package's own policies: their data cannot be the official ones"):
+        build(["Hopper"], policies_folder=tmp_path, write_manifest=True)
+
+
 def test_without_policies_nothing_is_built(rebuild, tmp_path):
     with pytest.raises(FileNotFoundError, match="`dynagen collect Hopper train0`"):
         rebuild(policies_folder=tmp_path)

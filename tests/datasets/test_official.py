@@ -1,10 +1,13 @@
 """The committed policies, manifest and reference scores belong together: this machine rebuilds the official data."""
 
+import dataclasses
+
 import pytest
 
 from dynagen_bench import ids
+from dynagen_bench.collection import runs
 from dynagen_bench.collection.minari_files import build_dataset
-from dynagen_bench.collection.policies import load_policies, policy_file
+from dynagen_bench.collection.policies import POLICY_FOLDER, load_policies, policy_file
 from dynagen_bench.collection.settings import SETTINGS, SACSettings
 from dynagen_bench.datasets import reference_scores
 from dynagen_bench.datasets.manifest import check_official, read_manifest
@@ -24,6 +27,14 @@ def test_every_dynamics_has_its_twenty_policies_of_the_one_setting(robot):
         assert len(policy_file(name).with_suffix(".csv").read_text().splitlines()) == 1 + len(steps)
         hashes |= {policy.content_hash() for policy in snapshots.values()}
     assert len(hashes) == 25 * 20
+
+
+@pytest.mark.parametrize("robot", ids.ROBOTS)
+def test_dynagen_collect_finds_its_own_runs_done(robot, monkeypatch):
+    monkeypatch.setattr(runs, "run_jobs", None)  # nothing is left to run
+    runs.collect(list(ids.dynamics_ids(robot)), SETTINGS[robot], POLICY_FOLDER)
+    with pytest.raises(ValueError, match=r"train0\.safetensors was trained with gamma=0\.9.*: give another --folder"):
+        runs.collect(list(ids.dynamics_ids(robot)), dataclasses.replace(SETTINGS[robot], gamma=0.5), POLICY_FOLDER)
 
 
 @pytest.mark.parametrize("robot", ids.ROBOTS)

@@ -218,6 +218,13 @@ def test_bad_arguments_end_in_one_line(robot, arguments, message):
         evaluate(Constant("Hopper", 0.0), robot, **arguments)
 
 
+def test_the_progress_bar_is_on_the_error_stream(capsys):
+    evaluate(RandomPolicy("Hopper", 0), "Hopper", indices=[0], episodes=1, progress=True)
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "evaluating in Hopper test" in shown.err
+
+
 def test_an_object_without_predict_is_refused():
     with pytest.raises(TypeError, match=r"function has no method predict"):
         evaluate(lambda observation: observation, "Hopper")
