@@ -3,7 +3,7 @@
 One file or folder tells one paper; `train` is the one loop. Letters for shapes, everywhere in this package:
 
     B batch    K context length, steps the agent sees    T tokens    D embedding    H attention heads
-    S state size    A action size    N parallel environments
+    S state size    A action size    N parallel environments    M members, or dynamics
 """
 
 from pathlib import Path

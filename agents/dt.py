@@ -28,8 +28,6 @@ from agents.trunk import Trunk, linear
 from dynagen_bench.datasets.windows import Windows
 from dynagen_bench.envs import HORIZON
 
-__all__ = ["DTConfig", "DecisionTransformer", "StepEncoder", "masked_mean_square"]
-
 TARGET_RETURN: Final = 1000.0
 OVERRIDES: Final[Mapping[str, Mapping[str, float]]] = {"HalfCheetah": {"target_return": 3000.0}}
 """Table 6 where a robot differs."""

@@ -56,14 +56,14 @@ def fixed(*modules: nn.Module) -> Iterator[None]:
 
 @torch.no_grad()
 def spread(few: nn.Module, many: nn.Module) -> None:
-    """Each of K nets becomes M alike: `many` is of the shape of `few` with K · M nets, the M beside each other."""
+    """Each of G nets becomes M alike: `many` is of the shape of `few` with G · M nets, the M beside each other."""
     for one, copies in zip(few.parameters(), many.parameters(), strict=True):
         copies.copy_(one.repeat_interleave(len(copies) // len(one), dim=0))
 
 
 @torch.no_grad()
 def move_to_mean(few: nn.Module, many: nn.Module, share: float = 1.0) -> None:
-    """The other way: each of K nets goes a share of the way to the mean of its M, parameter by parameter.
+    """The other way: each of G nets goes a share of the way to the mean of its M, parameter by parameter.
 
     With M = 1 it is how a slow copy follows a net.
     """

@@ -43,10 +43,10 @@ class PredictionErrors:
 
     Attributes:
         robot, split: of the data.
-        dynamics: (D,) int64, indices in the split.
-        errors: (D,) float64.
-        unchanged: (D,) float64, errors of the present state in place of a prediction: what a predictor has to beat.
-        steps: (D,) int64, that an error is the mean of.
+        dynamics: (M,) int64, indices in the split.
+        errors: (M,) float64.
+        unchanged: (M,) float64, errors of the present state in place of a prediction: what a predictor has to beat.
+        steps: (M,) int64, that an error is the mean of.
     """
 
     robot: str

@@ -284,7 +284,7 @@ def _returns(dataset: OfflineDataset, index: int) -> NDArray[np.float64]:
 
 
 def _paper_table(robot: str, test: OfflineDataset) -> str:
-    unknown = Reference(math.nan, math.nan, math.nan)
+    unknown = Reference(math.nan, math.nan, math.nan)  # of a robot that the paper does not have
     paper = PAPER_RETURNS.get(robot, (unknown,) * ids.SPLIT_SIZES["test"])
     rows = []
     for name in ids.dynamics_ids(robot, ("test",)):

@@ -47,14 +47,22 @@ def reference_scores(robot: str, file: Path | None = None) -> dict[str, Referenc
 
 
 def score_range(robot: str, file: Path | None = None) -> tuple[float, float]:
-    """The returns that are 0 and 100 on the official scale: min and max over all test dynamics' data of a robot."""
+    """The returns that are 0 and 100 on the official scale: min and max over all test dynamics' data of a robot.
+
+    Raises:
+        ValueError: as `reference_scores`.
+    """
     scores = reference_scores(robot, file)
     tests = [scores[name.label] for name in ids.dynamics_ids(robot, ("test",))]
     return min(test.min for test in tests), max(test.max for test in tests)
 
 
 def normalized_score(robot: str, returns: ArrayLike, file: Path | None = None) -> NDArray[np.float64]:
-    """Official scores of returns of any shape: 100 (R − min) / (max − min), with `score_range`."""
+    """Official scores of returns of any shape: 100 (R − min) / (max − min), with `score_range`.
+
+    Raises:
+        ValueError: as `reference_scores`.
+    """
     low, high = score_range(robot, file)
     return np.asarray(100.0 * (np.asarray(returns, dtype=np.float64) - low) / (high - low))
 

@@ -88,7 +88,13 @@ class Evaluation:
 
     @property
     def score(self) -> float:
-        """The official score: 100·(mean return − min)/(max − min), min and max over all the test dynamics' data."""
+        """The official score: 100·(mean return − min)/(max − min), min and max over all the test dynamics' data.
+
+        That is the scale whatever the split.
+
+        Raises:
+            ValueError: the robot has no reference scores yet.
+        """
         return float(normalized_score(self.robot, float(self.returns.mean())))
 
     @property

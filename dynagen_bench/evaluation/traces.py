@@ -30,7 +30,8 @@ from dynagen_bench.envs import HORIZON, BatchPhysics
 from dynagen_bench.whole import whole_file
 
 INTERVAL: Final = 10
-"""Steps between two stored states."""
+"""Steps between two stored states: few, so that another machine's rounding stays small over a segment
+(docs/submissions.md), and enough that states take about as much room as actions."""
 
 MAX_HEADER: Final = 1024
 """Largest header of a trace file that is read, bytes; `Traces` writes about 150."""
@@ -39,6 +40,7 @@ MAX_STATE: Final = 1e12
 """No state is larger: MuJoCo calls positions and velocities above 1e10 bad before every substep (mjMAXVAL)."""
 
 DIGEST_STEPS: Final = 50
+"""Of the episode whose hash says how a machine computes."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -81,11 +81,12 @@ def run_jobs(
         attempts = run.attempts
         if run.errors:
             raise RuntimeError(_failure(run.errors, files, len(jobs)))
-    return [
-        Outcome(job.name, job.key, attempts[job.key], {o: about["sha256"] for o, about in outputs.items()})
-        for job in jobs
-        for outputs in [files[job.key].recorded_outputs() or {}]
-    ]
+    outcomes = []
+    for job in jobs:
+        outputs = files[job.key].recorded_outputs() or {}
+        hashes = {output: about["sha256"] for output, about in outputs.items()}
+        outcomes.append(Outcome(job.name, job.key, attempts[job.key], hashes))
+    return outcomes
 
 
 def _executor(processes: int | None, ray: str | None) -> Executor:
