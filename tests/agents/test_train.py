@@ -264,7 +264,7 @@ def test_two_processes_do_not_train_in_one_folder(tmp_path):
     description = {"agent": "dt", "config": {}, "settings": {}, "data": {}}
     with (
         claimed(tmp_path, description),
-        pytest.raises(ValueError, match="another process is training"),
+        pytest.raises(ValueError, match="another process works in"),
         claimed(tmp_path, description),
     ):
         pass

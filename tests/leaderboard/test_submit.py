@@ -139,7 +139,7 @@ def test_runs_with_traces_join_an_entry_of_the_first_format(tmp_path, board):
             {"commands": ["train --robot Hopper --seed 2 --context 5"]},
             r"differ in more than the seed, 'train --robot Hopper --seed  --context 5' is not on both sides",
         ),
-        ((2,), {"commands": [f"command {number}" for number in range(100)]}, "with the entry's runs, commands: "),
+        ((2,), {"commands": [f"command {number}" for number in range(200)]}, "with the entry's runs, commands: "),
         ((1,), {}, r"runs\.0: the entry has a run of Hopper with seed 1: leave it out, or replace the entry"),
         (
             (2,),
