@@ -88,16 +88,16 @@ class StepEncoder(nn.Module):
         """
         tokens, seen = self._tokens(inputs, timesteps, mask)
         first = torch.arange(0, tokens.shape[1], len(inputs))  # of each step
-        asked = torch.stack([first + kind for kind in kinds], dim=1).view(-1).to(tokens.device)
-        out = self.trunk(tokens, seen, generator, asked, dtype or self.dtype)
+        queries = torch.stack([first + kind for kind in kinds], dim=1).view(-1).to(tokens.device)
+        out = self.trunk(tokens, seen, generator, queries, dtype or self.dtype)
         return tuple(out.view(*mask.shape, len(kinds), -1).unbind(dim=2))
 
     def last(self, inputs: Sequence[Tensor], timesteps: Tensor, mask: Tensor, kind: int) -> Tensor:
         """For acting, in float32: the trunk's output (B, D) at the last step's token of a kind."""
         tokens, seen = self._tokens(inputs, timesteps, mask)
         here = tokens.shape[1] - len(inputs) + kind  # no token after it matters to it
-        asked = torch.tensor([here], device=tokens.device)
-        out: Tensor = self.trunk(tokens[:, : here + 1], seen[:, : here + 1], asked=asked)
+        queries = torch.tensor([here], device=tokens.device)
+        out: Tensor = self.trunk(tokens[:, : here + 1], seen[:, : here + 1], queries=queries)
         return out[:, 0]
 
     def _tokens(self, inputs: Sequence[Tensor], timesteps: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,14 +1,14 @@
 """The two halves of a transformer block, each with its derivative written out, in float32 or bfloat16.
 
-What is here: `attend` and `perceive`, each x + dropout(f(LayerNorm(x))), and the masks of dropout. Called by `trunk`,
-which holds the parameters. It must not know what a token is.
+What is here: `attend` and `feed_forward`, each x + dropout(f(LayerNorm(x))), and the masks of dropout. Called by
+`trunk`, which holds the parameters. It must not know what a token is.
 
 Why by hand: in bfloat16 the products of these small nets are two thirds of a training step, and memory traffic most of
 the rest. Products take `dtype` and all around them is float32 (residuals, LayerNorm, softmax, gradients of weights):
 LayerNorm and softmax take a processor longer in bfloat16, and are less exact. A weight is cast once a step, q, k and v
 need no copies between products, and what can be overwritten is. The tests hold both dtypes against autograd.
 
-    M = B · T tokens    R = B · T' tokens that an output is asked for    D embedding    H heads
+    M = B · T tokens    R = B · T' queries, tokens whose output is wanted    D embedding    H heads
 """
 
 import math
@@ -73,8 +73,8 @@ def attend(
     qkv: Affine,
     out: Affine,
     heads: int,
-    hidden: Tensor,
-    asked: Tensor | None,
+    attention_bias: Tensor,
+    queries: Tensor | None,
     masks: DropoutMasks | None,
 ) -> Tensor:
     """Self-attention and what it is added to: (B, T, D) float32 → (B, T', D) float32.
@@ -85,15 +85,15 @@ def attend(
         qkv: (3D, D) and (3D,), of query, key and value.
         out: (D, D) and (D,).
         heads: H, divides D.
-        hidden: (B · H, T', T), added to the scores; its dtype is that of the products.
-        asked: (T',) int64, the tokens that see; None for all of them.
+        attention_bias: (B · H, T', T), added to the scores; its dtype is that of the products.
+        queries: (T',) int64, the tokens that see; None for all of them.
         masks: draws dropout, on the attention weights and on the output.
     """
-    y: Tensor = _Attention.apply(x, *norm, *qkv, *out, heads, hidden, asked, masks)  # type: ignore[no-untyped-call]
+    y: Tensor = _Attention.apply(x, *norm, *qkv, *out, heads, attention_bias, queries, masks)  # type: ignore[no-untyped-call]
     return y
 
 
-def perceive(
+def feed_forward(
     x: Tensor,
     norm: Affine,
     widen: Affine,
@@ -113,42 +113,59 @@ def perceive(
         masks: draws dropout, on the output.
         gelu: GELU in place of ReLU.
     """
-    y: Tensor = _Perceptron.apply(x, *norm, *widen, *narrow, dtype, masks, gelu)  # type: ignore[no-untyped-call]
+    y: Tensor = _FeedForward.apply(x, *norm, *widen, *narrow, dtype, masks, gelu)  # type: ignore[no-untyped-call]
     return y
 
 
 class _Attention(Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, *inputs: Any) -> Tensor:
-        gain, shift, w_qkv, b_qkv, w_out, b_out, heads, hidden, asked, masks = inputs
-        (batch, _, size), dtype = x.shape, hidden.dtype
+        gain, shift, w_qkv, b_qkv, w_out, b_out, heads, attention_bias, queries, masks = inputs
+        (batch, _, size), dtype = x.shape, attention_bias.dtype
         ctx.heads, ctx.scale = heads, (size // heads) ** -0.5
         h, mean, rstd = torch.native_layer_norm(x, (size,), gain, shift, EPSILON)
         h = h.to(dtype)
-        asking = _rows(h if asked is None else h.index_select(1, asked))  # (R, D)
+        query_rows = _rows(h if queries is None else h.index_select(1, queries))  # (R, D)
         h = _rows(h)  # (M, D)
         w_qkv, b_qkv, w_out = w_qkv.to(dtype), b_qkv.to(dtype), w_out.to(dtype)
         # three products, so that q, k and v are each in one piece, as the products below want them
-        parts = zip(b_qkv.chunk(3), (asking, h, h), w_qkv.chunk(3), strict=True)
+        parts = zip(b_qkv.chunk(3), (query_rows, h, h), w_qkv.chunk(3), strict=True)
         q, k, v = (_split(torch.addmm(b, rows, w.T), batch, heads) for b, rows, w in parts)  # (B · H, T' or T, D/H)
-        scores = torch.baddbmm(hidden, q, k.transpose(1, 2), alpha=ctx.scale)  # (B · H, T', T)
+        scores = torch.baddbmm(attention_bias, q, k.transpose(1, 2), alpha=ctx.scale)  # (B · H, T', T)
         weights = torch.softmax(scores, dim=2, dtype=torch.float32)
         mask = None if masks is None else masks.draw(weights.shape)
         kept = (weights if mask is None else weights * mask).to(dtype)
         y = _join(torch.bmm(kept, v), batch)  # (R, D)
-        residual = x if asked is None else x.index_select(1, asked)
+        residual = x if queries is None else x.index_select(1, queries)
         result, out_mask = _add(residual, torch.addmm(b_out.to(dtype), y, w_out.T), masks)
         ctx.save_for_backward(
-            x, mean, rstd, gain, shift, asked, h, asking, w_qkv, q, k, v, weights, mask, kept, y, w_out, out_mask
+            x, mean, rstd, gain, shift, queries, h, query_rows, w_qkv, q, k, v, weights, mask, kept, y, w_out, out_mask
         )
         return result
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> Any:
-        (x, mean, rstd, gain, shift, asked, h, asking, w_qkv, q, k, v, weights, mask, kept, y, w_out, out_mask) = (
-            ctx.saved_tensors
-        )
+        (
+            x,
+            mean,
+            rstd,
+            gain,
+            shift,
+            queries,
+            h,
+            query_rows,
+            w_qkv,
+            q,
+            k,
+            v,
+            weights,
+            mask,
+            kept,
+            y,
+            w_out,
+            out_mask,
+        ) = ctx.saved_tensors
         batch, dtype = len(x), h.dtype
         dy, dw_out, db_out = _product_backward(_masked(grad, out_mask).to(dtype), y, w_out)
         dy = _split(dy, batch, ctx.heads)  # (B · H, T', D/H)
@@ -157,22 +174,22 @@ class _Attention(Function):
         dscores = torch.ops.aten._softmax_backward_data(_masked(dweights, mask), weights, 2, torch.float32)
         dscores = dscores.mul_(ctx.scale).to(dtype)
         dq, dk = torch.bmm(dscores, k), torch.bmm(dscores.transpose(1, 2), q)
-        parts = zip((dq, dk, dv), (asking, h, h), w_qkv.chunk(3), strict=True)
-        (dasking, dwq, dbq), (dh, dwk, dbk), (dh_too, dwv, dbv) = (
+        parts = zip((dq, dk, dv), (query_rows, h, h), w_qkv.chunk(3), strict=True)
+        (dquery_rows, dwq, dbq), (dh, dwk, dbk), (dh_too, dwv, dbv) = (
             _product_backward(_join(part, batch), rows, w) for part, rows, w in parts
         )
         dh = dh.float().add_(dh_too).view(x.shape)
-        if asked is None:
-            dx = _norm_backward(dh.add_(dasking.view(x.shape)), x, mean, rstd, gain, shift)
+        if queries is None:
+            dx = _norm_backward(dh.add_(dquery_rows.view(x.shape)), x, mean, rstd, gain, shift)
             dx[0].add_(grad)
         else:
-            dh.index_add_(1, asked, dasking.float().view(grad.shape))
+            dh.index_add_(1, queries, dquery_rows.float().view(grad.shape))
             dx = _norm_backward(dh, x, mean, rstd, gain, shift)
-            dx[0].index_add_(1, asked, grad)
+            dx[0].index_add_(1, queries, grad)
         return *dx, torch.cat((dwq, dwk, dwv)), torch.cat((dbq, dbk, dbv)), dw_out, db_out, *[None] * 4
 
 
-class _Perceptron(Function):
+class _FeedForward(Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, *inputs: Any) -> Tensor:
         gain, shift, w_wide, b_wide, w_narrow, b_narrow, dtype, masks, gelu = inputs

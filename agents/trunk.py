@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.config import TransformerConfig
-from agents.sublayers import Affine, DropoutMasks, attend, drop, perceive
+from agents.sublayers import Affine, DropoutMasks, attend, drop, feed_forward
 
 INITIAL_STD: Final = 0.02
 """Of every weight of the trunk, as GPT-2; biases start at 0."""
@@ -56,11 +56,11 @@ class Block(nn.Module):
         self.widen = linear(config.embedding, 4 * config.embedding, generator, INITIAL_STD)
         self.narrow = linear(4 * config.embedding, config.embedding, generator, INITIAL_STD)
 
-    def forward(self, x: Tensor, hidden: Tensor, asked: Tensor | None, masks: DropoutMasks | None) -> Tensor:
-        """(B, T, D) → (B, T', D) at the tokens asked for (T',); `hidden` (B · H, T', T) is added to the scores."""
+    def forward(self, x: Tensor, attention_bias: Tensor, queries: Tensor | None, masks: DropoutMasks | None) -> Tensor:
+        """(B, T, D) → (B, T', D) at the queries (T',); `attention_bias` (B · H, T', T) is added to the scores."""
         qkv, out = affine(self.attention.qkv), affine(self.attention.out)
-        x = attend(x, affine(self.norm1), qkv, out, self.heads, hidden, asked, masks)
-        return perceive(x, affine(self.norm2), affine(self.widen), affine(self.narrow), hidden.dtype, masks)
+        x = attend(x, affine(self.norm1), qkv, out, self.heads, attention_bias, queries, masks)
+        return feed_forward(x, affine(self.norm2), affine(self.widen), affine(self.narrow), attention_bias.dtype, masks)
 
 
 def affine(layer: nn.Linear | nn.LayerNorm) -> Affine:
@@ -82,7 +82,7 @@ class Trunk(nn.Module):
         tokens: Tensor,
         mask: Tensor,
         generator: torch.Generator | None = None,
-        asked: Tensor | None = None,
+        queries: Tensor | None = None,
         dtype: torch.dtype = torch.float32,
     ) -> Tensor:
         """(B, T, D) → (B, T', D).
@@ -91,19 +91,21 @@ class Trunk(nn.Module):
             tokens: (B, T, D) float32.
             mask: (B, T) bool, False at padding; what comes out there means nothing.
             generator: draws dropout; None leaves dropout out.
-            asked: (T',) int64, the tokens whose output is wanted, all if left out. The last block computes no other.
+            queries: (T',) int64, the tokens whose output is wanted, all if left out. The last block computes no other.
             dtype: of the matrix products.
         """
-        hidden = hidden_from(mask, self.heads, dtype)
+        attention_bias = make_attention_bias(mask, self.heads, dtype)
         masks = DropoutMasks.of(self.rate, generator)
         x = drop(tokens, masks)
         for block in self.blocks[:-1]:
-            x = block(x, hidden, None, masks)
-        out: Tensor = self.norm(self.blocks[-1](x, hidden if asked is None else hidden[:, asked], asked, masks))
+            x = block(x, attention_bias, None, masks)
+        if queries is not None:
+            attention_bias = attention_bias[:, queries]
+        out: Tensor = self.norm(self.blocks[-1](x, attention_bias, queries, masks))
         return out
 
 
-def hidden_from(mask: Tensor, heads: int, dtype: torch.dtype) -> Tensor:
+def make_attention_bias(mask: Tensor, heads: int, dtype: torch.dtype) -> Tensor:
     """What is added to scores of (query, key), (B · H, T, T): 0 where it sees, -inf or -1e30 if not; mask (B, T).
 
     A key that is padding gets a finite number: a query with nothing else to see (padding too) would be NaN.

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from agents.config import TransformerConfig
-from agents.sublayers import EPSILON, DropoutMasks, drop, perceive
+from agents.sublayers import EPSILON, DropoutMasks, drop, feed_forward
 from agents.trunk import INITIAL_STD, Block, affine
 
 FEWEST: Final = 416
@@ -98,7 +98,7 @@ class TokenTransformer(nn.Module):
         for block in self.blocks:
             assert isinstance(block, Block)
             x, pair = self._attend(block, x, masks, dtype)
-            x = perceive(x, affine(block.norm2), affine(block.widen), affine(block.narrow), dtype, masks, gelu=True)
+            x = feed_forward(x, affine(block.norm2), affine(block.widen), affine(block.narrow), dtype, masks, gelu=True)
             seen.append(pair)
         return self.norm(x), seen
 
@@ -192,7 +192,7 @@ class Branches:
             assert isinstance(block, Block)
             x = self._attend(block, x, segments, is_key)
             norm, widen, narrow = affine(block.norm2), affine(block.widen), affine(block.narrow)
-            x = perceive(x, norm, widen, narrow, torch.float32, None, gelu=True)
+            x = feed_forward(x, norm, widen, narrow, torch.float32, None, gelu=True)
         self._filled, self._coming, self._position = self._filled + is_key, self._coming - is_key, self._position + 1
         logits: Tensor = model.norm(x) @ model.head[self._position % model.dimensions]
         return logits

@@ -5,11 +5,11 @@ import pytest
 import torch
 from torch.nn.functional import layer_norm, linear, relu
 
-from agents.sublayers import Affine, DropoutMasks, attend, drop, perceive
+from agents.sublayers import Affine, DropoutMasks, attend, drop, feed_forward
 
 B, T, D = 3, 6, 16
 LARGEST_ERROR = {torch.float32: 1e-5, torch.bfloat16: 2e-2}  # of a whole tensor's norm
-ASKED = {"all": None, "some": torch.tensor([1, 3, 4])}
+QUERIES = {"all": None, "some": torch.tensor([1, 3, 4])}
 
 
 def masks(seed: int = 5) -> DropoutMasks:
@@ -23,16 +23,16 @@ def inputs(*sizes) -> list[torch.Tensor]:
     return [torch.randn(shape, generator=generator) * (1.0 if i < 3 else 0.3) for i, shape in enumerate(shapes)]
 
 
-def attention_by_autograd(x, gain, shift, w_qkv, b_qkv, w_out, b_out, heads, hidden, asked):
+def attention_by_autograd(x, gain, shift, w_qkv, b_qkv, w_out, b_out, heads, attention_bias, queries):
     drawn = masks()
-    asked = torch.arange(T) if asked is None else asked
+    queries = torch.arange(T) if queries is None else queries
     h = layer_norm(x, (D,), gain, shift)
     q, k, v = (t.unflatten(2, (heads, -1)).transpose(1, 2) for t in linear(h, w_qkv, b_qkv).chunk(3, dim=2))
-    scores = q[:, :, asked] @ k.transpose(2, 3) / (D // heads) ** 0.5 + hidden.view(B, heads, -1, T)
+    scores = q[:, :, queries] @ k.transpose(2, 3) / (D // heads) ** 0.5 + attention_bias.view(B, heads, -1, T)
     weights = scores.softmax(3)
     weights = weights * drawn.draw(weights.shape)
     y = linear((weights @ v).transpose(1, 2).flatten(2), w_out, b_out)
-    return x[:, asked] + y * drawn.draw(y.shape)
+    return x[:, queries] + y * drawn.draw(y.shape)
 
 
 def perceptron_by_autograd(x, gain, shift, w_wide, b_wide, w_narrow, b_narrow):
@@ -40,10 +40,10 @@ def perceptron_by_autograd(x, gain, shift, w_wide, b_wide, w_narrow, b_narrow):
     return x + y * masks().draw(y.shape)
 
 
-def hidden_scores(heads, asked, dtype):
-    hidden = torch.full((T, T), -torch.inf).triu(1).expand(B * heads, T, T).clone()
-    hidden[:heads, 2:, 0] = -1e30  # the first key of the first episode is padding
-    return (hidden if asked is None else hidden[:, asked]).to(dtype)
+def attention_bias_scores(heads, queries, dtype):
+    attention_bias = torch.full((T, T), -torch.inf).triu(1).expand(B * heads, T, T).clone()
+    attention_bias[:heads, 2:, 0] = -1e30  # the first key of the first episode is padding
+    return (attention_bias if queries is None else attention_bias[:, queries]).to(dtype)
 
 
 def output_and_gradients(function, tensors):
@@ -63,16 +63,16 @@ def assert_close(found, expected, dtype):
 
 @pytest.mark.parametrize("dtype", LARGEST_ERROR)
 @pytest.mark.parametrize("heads", [1, 2])
-@pytest.mark.parametrize("asked", ASKED)
-def test_attention_is_autograds(asked, heads, dtype):
-    asked, tensors = ASKED[asked], inputs((3 * D, D), (D, D))
+@pytest.mark.parametrize("queries", QUERIES)
+def test_attention_is_autograds(queries, heads, dtype):
+    queries, tensors = QUERIES[queries], inputs((3 * D, D), (D, D))
 
     def ours(x, gain, shift, w_qkv, b_qkv, w_out, b_out):
         norm, qkv, out = Affine(gain, shift), Affine(w_qkv, b_qkv), Affine(w_out, b_out)
-        return attend(x, norm, qkv, out, heads, hidden_scores(heads, asked, dtype), asked, masks())
+        return attend(x, norm, qkv, out, heads, attention_bias_scores(heads, queries, dtype), queries, masks())
 
     def theirs(*tensors):
-        return attention_by_autograd(*tensors, heads, hidden_scores(heads, asked, torch.float64), asked)
+        return attention_by_autograd(*tensors, heads, attention_bias_scores(heads, queries, torch.float64), queries)
 
     expected = output_and_gradients(theirs, [tensor.double() for tensor in tensors])
     assert_close(output_and_gradients(ours, tensors), expected, dtype)
@@ -83,7 +83,7 @@ def test_perceptron_is_autograds(dtype):
     tensors = inputs((4 * D, D), (D, 4 * D))
 
     def ours(x, gain, shift, w_wide, b_wide, w_narrow, b_narrow):
-        return perceive(x, Affine(gain, shift), Affine(w_wide, b_wide), Affine(w_narrow, b_narrow), dtype, masks())
+        return feed_forward(x, Affine(gain, shift), Affine(w_wide, b_wide), Affine(w_narrow, b_narrow), dtype, masks())
 
     expected = output_and_gradients(perceptron_by_autograd, [tensor.double() for tensor in tensors])
     assert_close(output_and_gradients(ours, tensors), expected, dtype)

@@ -5,7 +5,7 @@ import torch
 from torch.nn.functional import cross_entropy, gelu, layer_norm, linear
 
 from agents.config import TransformerConfig
-from agents.sublayers import Affine, DropoutMasks, perceive
+from agents.sublayers import Affine, DropoutMasks, feed_forward
 from agents.trajectory_transformer.token_transformer import TokenTransformer
 
 J, K, N = 5, 4, 7
@@ -159,7 +159,7 @@ def test_the_perceptron_with_gelu_is_autograds(dtype, largest):
 
     def ours(x, gain, shift, w_wide, b_wide, w_narrow, b_narrow):
         parameters = Affine(gain, shift), Affine(w_wide, b_wide), Affine(w_narrow, b_narrow)
-        return perceive(x, *parameters, dtype, masks(), gelu=True)
+        return feed_forward(x, *parameters, dtype, masks(), gelu=True)
 
     def by_autograd(x, gain, shift, w_wide, b_wide, w_narrow, b_narrow):
         y = linear(gelu(linear(layer_norm(x, (16,), gain, shift), w_wide, b_wide)), w_narrow, b_narrow)

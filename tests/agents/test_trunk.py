@@ -75,11 +75,11 @@ def test_asked_for_some_tokens_it_gives_what_it_gives_for_all(dtype):
     trunk = Trunk(TransformerConfig(heads=2, embedding=32), torch.Generator().manual_seed(0))
     tokens = torch.randn(4, 9, 32, generator=torch.Generator().manual_seed(1))
     mask = torch.arange(9) >= torch.tensor([0, 1, 5, 8])[:, None]
-    asked = torch.tensor([1, 4, 8])
+    queries = torch.tensor([1, 4, 8])
     with torch.no_grad():
-        whole, part = trunk(tokens, mask, dtype=dtype), trunk(tokens, mask, asked=asked, dtype=dtype)
+        whole, part = trunk(tokens, mask, dtype=dtype), trunk(tokens, mask, queries=queries, dtype=dtype)
     assert part.shape == (4, 3, 32)
-    torch.testing.assert_close(part, whole[:, asked], rtol=1e-5, atol=1e-5 if dtype == torch.float32 else 2e-2)
+    torch.testing.assert_close(part, whole[:, queries], rtol=1e-5, atol=1e-5 if dtype == torch.float32 else 2e-2)
 
 
 def test_all_of_it_is_on_the_device_of_its_parameters():
