@@ -260,6 +260,11 @@ def git_commit() -> str | None:
     return None
 
 
+def is_committed(commit: str | None) -> bool:
+    """Whether what `git_commit` gave is a state of the code that anybody can check out."""
+    return commit is not None and not commit.endswith("-dirty")
+
+
 class Curves:
     """The learning curves: kept here, written to curves.csv as a whole with each checkpoint, and to TensorBoard.
 

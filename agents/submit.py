@@ -18,7 +18,7 @@ import tyro
 
 from agents import AGENTS
 from agents.fine_tuning import PAPER, AdaptationSettings
-from agents.run_folder import DATA, RunSettings, read_curve, read_finished, read_json
+from agents.run_folder import DATA, RunSettings, is_committed, read_curve, read_finished, read_json
 from dynagen_bench import ids
 from dynagen_bench.evaluation.result import EpisodeRecord, first_error
 from dynagen_bench.evaluation.submission import MAX_POINTS, CurvePoint, Run, Submission, write_submission
@@ -138,7 +138,7 @@ def _commit(run: FinishedRun) -> str | None:
     """
     trained = run.config["commit"]
     made = [trained, run.record.get("commit", trained)]
-    return None if any(not commit or commit.endswith("-dirty") for commit in made) else str(made[-1])
+    return str(made[-1]) if all(map(is_committed, made)) else None
 
 
 def _run(run: FinishedRun, commit: str | None) -> Run:

@@ -63,12 +63,18 @@ class Evidence(NamedTuple):
             return "not run"
         if self.estimate.interval is None or min(self.runs) < FEWEST:
             return "undecided"
-        intervals = [self.estimate.interval, *(one.interval for one in self.each if one.interval is not None)]
-        above, below = (any(found) for found in zip(*((low > 0.5, high < 0.5) for low, high in intervals), strict=True))
-        low, high = self.estimate.interval
-        if above and below:
+        side = _side(self.estimate)
+        if side == 0 or -side in map(_side, self.each):
             return "undecided"
-        return "holds" if low > 0.5 else "does not hold" if high < 0.5 else "undecided"
+        return "holds" if side > 0 else "does not hold"
+
+
+def _side(probability: Estimate) -> int:
+    """1 where its interval lies above one half, -1 where it lies below, 0 where neither is sure."""
+    if probability.interval is None:
+        return 0
+    low, high = probability.interval
+    return int(low > 0.5) - int(high < 0.5)
 
 
 class Claim(NamedTuple):

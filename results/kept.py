@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.prediction import PREDICTION
-from agents.run_folder import ADAPTATION_CURVE, LEARNED, read_config, read_curve, read_json, write_json
+from agents.run_folder import ADAPTATION_CURVE, LEARNED, is_committed, read_config, read_curve, read_json, write_json
 from agents.summary.runs import Run, read_runs
 from dynagen_bench.whole import whole_file
 
@@ -85,7 +85,7 @@ def _checked(run: Path) -> dict[str, Any]:
         raise FileNotFoundError(f"{run} is no run, it has no config.json and curves.csv: train it first")
     about = read_config(run)
     commit = about.get("commit")
-    if not commit or commit.endswith("-dirty"):
+    if not is_committed(commit):
         raise ValueError(f"{run} was made by {commit or 'no commit'}: commit the code and train it again")
     _check_finished(run, about["config"]["steps"])
     return about
