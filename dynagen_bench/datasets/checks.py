@@ -83,18 +83,18 @@ def check_mujoco(dataset_id: str, record: DatasetRecord) -> None:
 def _metadata_problem(folder: Path, name: ids.DynamicsId, every: int, record: DatasetRecord) -> str | None:
     """What is wrong in `metadata.json`, beside what the episodes tell."""
     storage = MinariStorage.read(folder / "data")
-    metadata = {**storage.metadata, **record.recipe}
-    expected: dict[str, Any] = {
+    metadata = storage.metadata
+    minaris: dict[str, Any] = {
         "dataset_id": name.part_id(every),
         "total_episodes": record.episodes,
         "total_steps": record.steps,
         "data_format": "hdf5",
-        "dynamics": name.env_id,
-        "every": every,
     }
-    for field, value in expected.items():
-        if metadata[field] != value:
-            return f"its metadata say {field} {metadata[field]!r}, not {value!r}"
+    # each held against the place it is read from: a recipe is any mapping, and must not answer for Minari's fields
+    for place, expected in ((metadata, minaris), (record.recipe, {"dynamics": name.env_id, "every": every})):
+        for field, value in expected.items():
+            if place[field] != value:
+                return f"its metadata say {field} {place[field]!r}, not {value!r}"
     env = gymnasium.make(name.env_id)
     env.close()
     if (storage.observation_space, storage.action_space) != (env.observation_space, env.action_space):

@@ -197,6 +197,25 @@ def test_damaged_metadata(folder, path, value, message):
         check_dataset(folder, NAME)
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("dataset_id", "dynagen/Hopper-RandDyn/test2-v0"),
+        ("total_episodes", 7),
+        ("total_steps", 1),
+        ("data_format", "arrow"),
+        ("env_spec", '{"entry_point": "payload:make"}'),
+        ("eval_env_spec", '{"entry_point": "payload:make"}'),
+    ],
+)
+def test_a_recipe_does_not_answer_for_minaris_fields(folder, field, value):
+    right = json.loads((folder / "data" / "metadata.json").read_text())[field]
+    edit(folder, field, value=value)
+    edit(folder, "dynagen", "recipe", field, value=right)
+    with pytest.raises(ValueError, match=r"^dynagen/Hopper-RandDyn/test3-v0 is damaged"):
+        check_dataset(folder, NAME)
+
+
 def test_spaces_of_another_robot(folder):
     file = folder / "data" / "metadata.json"
     edit(folder, "action_space", value=json.loads(file.read_text())["observation_space"])
