@@ -81,6 +81,7 @@ def render_video(
     Raises:
         ValueError: an unknown robot, dynamics or policy, another suffix, or a number that makes no video.
         FileNotFoundError: no behaviour policies of that dynamics.
+        OSError: the file cannot be written, as on a full disk; what was at `output` is still there.
         RuntimeError: the [pictures] extra or a GL backend is missing.
     """
     name, source = ids.parse_label(ids.check_robot(robot), label), ids.parse_label(robot, policy_of or label)
@@ -141,14 +142,8 @@ def _frame(env: gymnasium.Env[Any, Any], words: tuple[str, ...], step: int, tota
 def _open_video(path: Path, suffix: str, rate: float, size: tuple[int, int]) -> Iterator[Write]:
     """Yield what adds a frame of `size` (width, height) to the file at `path`, whose own name says no format."""
     if suffix == ".mp4":
-        import imageio_ffmpeg  # type: ignore[import-untyped]
-
-        encoding = {"fps": rate, "codec": "libx264", "quality": 8, "macro_block_size": 2}
-        with contextlib.closing(
-            imageio_ffmpeg.write_frames(str(path), size, **encoding, output_params=["-f", "mp4"])
-        ) as ffmpeg:
-            ffmpeg.send(None)  # starts it
-            yield lambda frame: ffmpeg.send(np.ascontiguousarray(frame))
+        with _open_mp4(path, rate, size) as write:
+            yield write
         return
     frames: list[Image.Image] = []
     yield lambda frame: frames.append(Image.fromarray(frame))
@@ -156,3 +151,37 @@ def _open_video(path: Path, suffix: str, rate: float, size: tuple[int, int]) -> 
     ends = [round(100 * (i + 1) / rate) for i in range(len(frames))]
     durations = [10 * (end - start) for start, end in itertools.pairwise([0, *ends])]  # ms
     frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
+
+
+@contextlib.contextmanager
+def _open_mp4(path: Path, rate: float, size: tuple[int, int]) -> Iterator[Write]:
+    """As `_open_video`; counts the frames of the file in the end, as imageio_ffmpeg does not look how ffmpeg ends.
+
+    Raises:
+        OSError: ffmpeg has stopped, or has not written them all.
+    """
+    import imageio_ffmpeg  # type: ignore[import-untyped]
+
+    sent = 0
+
+    def write(frame: NDArray[np.uint8]) -> None:
+        nonlocal sent
+        try:
+            ffmpeg.send(np.ascontiguousarray(frame))
+        except OSError as error:
+            first, _, _ = str(error).partition("\n")  # ffmpeg's whole command comes after it
+            raise OSError(f"the mp4 could not be written: {first}") from error
+        sent += 1
+
+    encoding = {"fps": rate, "codec": "libx264", "quality": 8, "macro_block_size": 2}
+    with contextlib.closing(
+        imageio_ffmpeg.write_frames(str(path), size, **encoding, output_params=["-f", "mp4"])
+    ) as ffmpeg:
+        ffmpeg.send(None)  # starts it
+        yield write
+    try:
+        found, _ = imageio_ffmpeg.count_frames_and_secs(str(path))
+    except RuntimeError:  # no video at all
+        found = 0
+    if found != sent:
+        raise OSError(f"the mp4 could not be written: it has {found} of {sent} frames; look whether the disk is full")

@@ -1,6 +1,10 @@
 """Videos can be read again, and show what was asked for."""
 
+import contextlib
+from pathlib import Path
+
 import imageio.v3 as imageio
+import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
@@ -62,6 +66,39 @@ def test_another_ones_policy_acts_in_the_nominal_body_twice(tmp_path, tiny_polic
     assert len(video.returns) == 2
     assert video.returns[0] != video.returns[1]
     assert len(frames) == video.frames
+
+
+def junk_writer(path, *_args, **_kwargs):
+    """An ffmpeg on a full disk: it takes every frame, and what it leaves is no video."""
+    with contextlib.suppress(GeneratorExit):
+        while True:
+            yield
+    Path(path).write_bytes(b"junk")
+
+
+def dying_writer(_path, *_args, **_kwargs):
+    """An ffmpeg that stops, as imageio_ffmpeg tells it."""
+    yield
+    yield
+    raise OSError("[Errno 32] Broken pipe\n\nFFMPEG COMMAND:\nffmpeg -y\n\nFFMPEG STDERR OUTPUT:\n")
+
+
+@pytest.mark.usefixtures("gl")
+@pytest.mark.parametrize(
+    ("writer", "message"),
+    [
+        (junk_writer, r"it has 0 of \d+ frames; look whether the disk is full"),
+        (dying_writer, r"\[Errno 32\] Broken pipe"),
+    ],
+)
+def test_an_mp4_that_is_not_whole_replaces_no_old_one(tmp_path, monkeypatch, writer, message):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"the old one")
+    monkeypatch.setattr(imageio_ffmpeg, "write_frames", writer)
+    with pytest.raises(OSError, match=f"^the mp4 could not be written: {message}$"):
+        read(path)
+    assert path.read_bytes() == b"the old one"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize(
