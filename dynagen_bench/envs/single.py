@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from gymnasium import utils
 from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
@@ -28,6 +29,7 @@ from dynagen_bench.envs.rules import (
     reward_info,
     velocity_info,
 )
+from dynagen_bench.envs.specs import PlainSpec
 
 RENDER_KEYWORDS = (
     "render_mode",
@@ -64,6 +66,7 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
     default_rules: ClassVar[Rules]
     tendons: ClassVar[bool] = False
     base_keywords: ClassVar[Mapping[str, Any]] = {}
+    spec: EnvSpec | None = PlainSpec()  # type: ignore[assignment] # a descriptor of that type
 
     def __init__(
         self,

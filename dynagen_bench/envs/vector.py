@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -21,6 +22,7 @@ from dynagen_bench.dynamics import Dynamics, load_dynamics
 from dynagen_bench.envs.batch import BatchPhysics, Transition, checked_actions
 from dynagen_bench.envs.robots import ROBOT_CLASSES
 from dynagen_bench.envs.rules import Array, position_info, reward_info
+from dynagen_bench.envs.specs import PlainSpec
 
 HORIZON: Final = 200
 """Steps after which an episode is truncated (paper, section 5.1)."""
@@ -53,6 +55,7 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         "autoreset_mode": AutoresetMode.NEXT_STEP,
         "render_modes": ["rgb_array", "depth_array", "rgbd_tuple"],
     }
+    spec: EnvSpec | None = PlainSpec()  # type: ignore[assignment] # a descriptor of that type
 
     def __init__(
         self,

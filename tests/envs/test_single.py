@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.envs.mujoco.ant_v5 import AntEnv
+from gymnasium.envs.registration import EnvSpec
 
 import dynagen_bench  # noqa: F401, registers the environments
 from dynagen_bench import ids
@@ -107,6 +108,16 @@ def test_a_copy_has_the_body_that_was_drawn(copied):
         one.set_state(env.init_qpos, env.init_qvel)
     action = np.ones(3)
     np.testing.assert_array_equal(other.step(action)[0], env.step(action)[0])
+
+
+def test_the_specification_is_text_whatever_was_given():
+    for chosen in ({"split": "test", "index": np.int64(3)}, {"healthy_z_range": (np.float32(0.5), np.inf)}):
+        env = gymnasium.make("Hopper-RandDyn-v0", **chosen)
+        again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+        assert again.spec == env.spec
+        assert again.unwrapped.dynamics == env.unwrapped.dynamics
+    assert type(env.unwrapped).spec is None  # as Gymnasium's
+    assert type(env.unwrapped)().spec is None
 
 
 def test_slim_humanoids_reward_is_the_papers():

@@ -3,6 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import vector as wrappers
 
@@ -340,6 +341,20 @@ def test_the_specification_makes_it_again():
     again = gymnasium.make_vec(env.spec)
     assert again.num_envs == 3
     assert again.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    np.testing.assert_array_equal(env.reset(seed=4)[0], again.reset(seed=4)[0])
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        {"num_envs": np.int64(2), "indices": np.array([0, 1]), "autoreset_mode": AutoresetMode.SAME_STEP},
+        {"num_envs": 2, "index": np.int64(3), "healthy_z_range": (np.float32(0.5), np.inf)},
+    ],
+)
+def test_the_specification_is_text_whatever_was_given(chosen):
+    env = gymnasium.make_vec("Hopper-RandDyn-v0", **chosen)
+    again = gymnasium.make_vec(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec == env.spec
     np.testing.assert_array_equal(env.reset(seed=4)[0], again.reset(seed=4)[0])
 
 
