@@ -45,15 +45,20 @@ def reset_seeds(
     """Reset seeds (dynamics, episodes), whole numbers of 31 bits; each a function of its own names and `seed` alone.
 
     Raises:
-        ValueError: an unknown robot, split or index.
+        ValueError: an unknown robot, split or index, no episode, or a seed that is no whole number from 0 on.
     """
+    count, start = ids.whole_number(episodes), ids.whole_number(seed)
+    if count is None or count < 1:
+        raise ValueError(f"episodes is {episodes!r}: give a whole number from 1 on, so many in each dynamics")
+    if start is None or start < 0:  # of None NumPy would make another seed each time
+        raise ValueError(f"seed is {seed!r}: give a whole number from 0 on")
     names = [ids.make_id(robot, split, index) for index in indices]
     splits = tuple(ids.SPLIT_SIZES)
-    seeds = np.zeros((len(names), episodes), dtype=np.int64)
+    seeds = np.zeros((len(names), count), dtype=np.int64)
     for row, name in enumerate(names):
-        for episode in range(episodes):
+        for episode in range(count):
             key = (ids.ROBOTS.index(robot), splits.index(split), name.index, episode)
-            seeds[row, episode] = np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0] >> 1
+            seeds[row, episode] = np.random.SeedSequence(start, spawn_key=key).generate_state(1)[0] >> 1
     return seeds
 
 
@@ -88,16 +93,14 @@ def evaluate(
 
     Raises:
         TypeError: the policy has no `predict`.
-        ValueError: an unknown robot, split or index, no episode, an answer that is not (actions, state), or actions of
-            a wrong shape or not finite.
+        ValueError: an unknown robot, split or index, no episode, a seed that is no whole number from 0 on, an answer
+            that is not (actions, state), or actions of a wrong shape or not finite.
     """
     if not isinstance(policy, Policy):
         raise TypeError(
             f"{type(policy).__name__} has no method predict(observation, ...): see dynagen_bench.evaluation.Policy"
         )
     chosen = tuple(name.index for name in ids.choose_ids(robot, split, indices))
-    if episodes < 1:
-        raise ValueError(f"{episodes} episodes asked for: evaluate at least 1 in each dynamics")
     seeds = reset_seeds(robot, split, chosen, episodes, seed)
     drawn = [load_dynamics(robot, split, index) for index in chosen]
     physics = BatchPhysics(robot, [dynamics for dynamics in drawn for _ in range(episodes)])

@@ -210,12 +210,25 @@ def test_an_answer_that_is_not_actions_and_state_is_told_in_one_line(answer, for
         ("Hopper", {"indices": [5]}, "whole number from 0 to 4"),
         ("Hopper", {"indices": [1, 1]}, "one twice"),
         ("Hopper", {"indices": []}, "name no dynamics"),
-        ("Hopper", {"episodes": 0}, "at least 1"),
+        *[
+            ("Hopper", {"episodes": given}, rf"^episodes is {given!r}: give a whole number from 1 on")
+            for given in (0, 2.5, "2", True, None)
+        ],
+        *[
+            ("Hopper", {"seed": given}, rf"^seed is {given!r}: give a whole number from 0 on$")
+            for given in (-1, 2.5, "2", True, None)
+        ],
     ],
 )
 def test_bad_arguments_end_in_one_line(robot, arguments, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=message) as caught:
         evaluate(Constant("Hopper", 0.0), robot, **arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_numpys_whole_numbers_are_taken_as_plain_ones_are():
+    plain = reset_seeds("Hopper", "test", [0], 3, seed=5)
+    np.testing.assert_array_equal(reset_seeds("Hopper", "test", [0], np.int64(3), seed=np.int32(5)), plain)
 
 
 def test_the_progress_bar_is_on_the_error_stream(capsys):
