@@ -75,10 +75,14 @@ class BatchPhysics:
             rules: the task's numbers, the robot's own if None.
 
         Raises:
-            ValueError: an unknown robot, no dynamics, or dynamics that name elements the robot does not have.
+            ValueError: an unknown robot, no dynamics, dynamics that name elements the robot does not have, or a number
+                of threads that is none.
         """
         if not dynamics:
             raise ValueError("no dynamics given: a batch needs at least one")
+        count = ids.whole_number(threads)
+        if count is None or count < 0:
+            raise ValueError(f"threads is {threads!r}: give a whole number from 1 on, or 0 for all processors")
         robot_class = ROBOT_CLASSES[ids.check_robot(robot)]
         self.robot = robot
         self.rules = robot_class.default_rules if rules is None else rules
@@ -91,9 +95,9 @@ class BatchPhysics:
         self._duration = float(model.opt.timestep * self._substeps)
         self._low, self.action_limit = model.actuator_ctrlrange.T.copy()
         self.reference_qpos: Array = model.qpos0.copy()
-        self._batch = Batch(model, nsim=len(dynamics), nthread=threads)
+        self._batch = Batch(model, nsim=len(dynamics), nthread=count)
         self._batch.set_models(self._models)
-        self._process = None if threads == 1 else os.getpid()  # whose threads they are; the caller's own goes along
+        self._process = None if count == 1 else os.getpid()  # whose threads they are; the caller's own goes along
         _ALIVE.add(self)
         # a row of the batch's state begins with the time, qpos and qvel: one copy takes a whole physics state
         self.states: Array = self._batch.state[:, 1 : 1 + model.nq + model.nv]

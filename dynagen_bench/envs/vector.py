@@ -93,16 +93,18 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
 
         Raises:
             ValueError: an unknown split, index, mode or element; fewer than one sub-environment; more indices or
-                dynamics than sub-environments; `dynamics` beside a choice from the benchmark's own.
+                dynamics than sub-environments; `dynamics` beside a choice from the benchmark's own; a number of steps
+                or threads that is none.
             TypeError: an unknown keyword, or one that would not act.
         """
         count = ids.whole_number(num_envs)
         if count is None or count < 1:
             raise ValueError(f"num_envs is {num_envs!r}: give a whole number from 1 on")
-        steps = HORIZON if max_episode_steps is None else max_episode_steps
-        if steps < 1 and steps != NO_LIMIT:
+        steps = ids.whole_number(HORIZON if max_episode_steps is None else max_episode_steps)
+        if steps is None or (steps < 1 and steps != NO_LIMIT):
             raise ValueError(
-                f"max_episode_steps is {steps}: give a whole number from 1 on, {NO_LIMIT} for no limit, or None"
+                f"max_episode_steps is {max_episode_steps!r}: give a whole number from 1 on, {NO_LIMIT} for no limit, "
+                "or None"
             )
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode is {render_mode!r}: choose from {', '.join(self.metadata['render_modes'])}")

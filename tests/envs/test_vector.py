@@ -164,6 +164,7 @@ def test_numpys_whole_numbers_are_taken_as_plain_ones_are():
             np.testing.assert_array_equal(env.reset(seed=seed)[0], plain.reset(seed=its)[0])
         assert type(env.num_envs) is int
         assert env.unwrapped.dynamics_indices.tolist() == [0, 1]
+    gymnasium.make_vec(env_id, num_envs=1, max_episode_steps=np.int64(5), threads=np.uint8(1)).close()
     assert gymnasium.make_vec(env_id, num_envs=1, index=np.int64(3)).unwrapped.dynamics_indices == [3]
     single = gymnasium.make(env_id, split="test", index=np.int64(3)).unwrapped
     assert type(single.reset(seed=0)[1]["dynamics_index"]) is int
@@ -262,6 +263,14 @@ def test_an_unstable_step_is_that_of_the_single_environment(robot, speed, mode, 
             ValueError,
             "max_episode_steps is 0: give a whole number from 1 on, -1 for no limit",
         ),
+        *[
+            ({"max_episode_steps": given}, ValueError, rf"^max_episode_steps is {given!r}: give a whole number from 1")
+            for given in (2.5, True, "5", -2)
+        ],
+        *[
+            ({"threads": given}, ValueError, rf"^threads is {given!r}: give a whole number from 1 on, or 0 for all")
+            for given in (-5, 1.5, "2", True, None)
+        ],
         ({"render_mode": "human"}, ValueError, "render_mode is 'human': choose from rgb_array"),
         ({"gravity": 3}, TypeError, "Hopper has no keyword 'gravity'"),
     ],
