@@ -76,7 +76,7 @@ def check_robot(robot: str) -> str:
 
 def check_split(split: str) -> str:
     """Return `split`; raise ValueError naming the allowed ones if it is not in `SPLIT_SIZES`."""
-    if split in SPLIT_SIZES:
+    if isinstance(split, str) and split in SPLIT_SIZES:  # a list cannot even be looked for
         return split
     raise ValueError(f"unknown split {split!r}: choose one of {', '.join(SPLIT_SIZES)}")
 

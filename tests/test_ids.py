@@ -44,6 +44,7 @@ def test_ids_are_the_frozen_ones():
     [
         (lambda: ids.make_id("hoper", "test", 0), "choose one of Walker, Hopper.*did you mean 'Hopper'"),
         (lambda: ids.make_id("Hopper", "valid", 0), "choose one of train, test, nominal"),
+        (lambda: ids.check_split(["train"]), r"unknown split \['train'\]: choose one of train, test, nominal"),
         (lambda: ids.make_id("Hopper", "test", 5), "whole number from 0 to 4"),
         (lambda: ids.make_id("Hopper", "train", True), "whole number from 0 to 19"),
         (lambda: ids.parse_label("Hopper", "test03"), "train0 to train19, test0 to test4, or nominal"),
