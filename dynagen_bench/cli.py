@@ -25,8 +25,9 @@ from dynagen_bench.datasets.cards import write_data_card
 from dynagen_bench.dynamics import PARAMETERS, draw_dynamics, factor_array, load_dynamics, nominal_robot
 from dynagen_bench.envs.pages import write_page
 from dynagen_bench.evaluation.baselines import baseline_submission
-from dynagen_bench.evaluation.submission import write_submission
+from dynagen_bench.evaluation.submission import FILE_NAME, write_submission
 from dynagen_bench.pictures import render_video, write_gallery, write_strip
+from dynagen_bench.whole import check_writable
 
 Robot = Annotated[str, tyro.conf.Positional]
 
@@ -288,6 +289,7 @@ def baseline(
             those); zero and expert have one run.
         runs: seeds of each robot.
     """
+    check_writable(output / FILE_NAME)  # before minutes of work that is to go there
     write_submission(output, *baseline_submission(policy, robots, runs))
 
 

@@ -19,6 +19,20 @@ from collections.abc import Iterator
 from pathlib import Path
 
 
+def check_writable(path: Path) -> None:
+    """See that a file can be written at `path`; makes nothing. For who works long before there is something to write.
+
+    Raises:
+        ValueError: there is something at `path` that is no file, a folder or a device.
+        OSError: the nearest folder on the way to it takes no files, or is none.
+    """
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{path} is no file and cannot be written as one: give the path of a new file or an old one")
+    folder = next(folder for folder in path.resolve().parents if folder.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise OSError(f"{path} cannot be written: {folder} is no folder that you may write to, give a path elsewhere")
+
+
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a place beside `path` to write to; when the block ends well, it becomes `path`.
@@ -27,10 +41,9 @@ def whole_file(path: Path) -> Iterator[Path]:
     which nothing reads. A link stays one: the file that it names is replaced.
 
     Raises:
-        ValueError: there is something at `path` that is no file, a folder or a device; it is left alone.
+        ValueError, OSError: as `check_writable`; what is there is left alone.
     """
-    if path.exists() and not path.is_file():
-        raise ValueError(f"{path} is no file and cannot be written as one: give the path of a new file or an old one")
+    check_writable(path)
     path = path.resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f"{path.name}.{os.getpid()}.unfinished")

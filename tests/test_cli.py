@@ -64,8 +64,8 @@ def test_draw_prints_what_gymnasium_takes(capsys):
         (("data", "verify"), "no robot is given"),
         (("dynamics", "draw", "Hopper", "--seed", "1", "--count", "-1"), "count is -1 and seed 1: give at least 1"),
         (("dynamics", "draw", "Hopper", "--seed", "-1"), "count is 1 and seed -1"),
-        (("page", "Hopper", "--output", f"{__file__}/page.md"), "File exists"),
-        (("page", "Hopper", "--output", f"{__file__}/deep/page.md"), "Not a directory"),
+        (("page", "Hopper", "--output", f"{__file__}/page.md"), "give a path elsewhere"),
+        (("page", "Hopper", "--output", f"{__file__}/deep/page.md"), f"{__file__} is no folder"),
         (("page", "Hopper", "--output", "/"), "/ is no file and cannot be written as one"),
     ],
 )
@@ -77,6 +77,23 @@ def test_a_mistake_ends_in_one_line(capsys, words, message):
     assert len(said) == 1
     assert said[0].startswith("dynagen: ")
     assert message in said[0]
+
+
+@pytest.mark.usefixtures("gl")  # which a strip and a gallery look for, too
+@pytest.mark.parametrize(
+    ("words", "name", "work"),
+    [
+        (("baseline", "Hopper"), "entry", "dynagen_bench.cli.baseline_submission"),
+        (("gallery", "Hopper"), "page.html", "dynagen_bench.pictures.gallery.load_returns"),
+        (("strip", "Hopper"), "bodies.png", "dynagen_bench.pictures.strips.make_strip"),
+    ],
+)
+def test_an_output_that_cannot_be_written_is_told_before_the_work(capsys, tmp_path, monkeypatch, words, name, work):
+    monkeypatch.setattr(work, None)  # what calls it fails in another way
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit):
+        main([*words, "--output", str(tmp_path / "file" / name)])
+    assert f"cannot be written: {tmp_path / 'file'} is no folder that you may write to" in capsys.readouterr().err
 
 
 def test_a_stopped_command_ends_in_one_line(capsys, monkeypatch):

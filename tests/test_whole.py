@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from dynagen_bench.whole import exclusively, whole_file, whole_folder
+from dynagen_bench.whole import check_writable, exclusively, whole_file, whole_folder
 
 
 def begin_and_stop(folder):
@@ -160,6 +160,20 @@ def test_what_is_no_file_is_not_replaced_by_one(tmp_path):
         ):
             write_half(path)
     assert (tmp_path / "pipe").is_fifo()
+
+
+def test_whether_a_file_can_be_written_is_seen_without_making_anything(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "file", tmp_path / "new", tmp_path / "deep" / "folder" / "new"):
+        check_writable(path)
+    with pytest.raises(ValueError, match=f"^{tmp_path} is no file and cannot be written as one"):
+        check_writable(tmp_path)
+    with pytest.raises(OSError, match=f"^{tmp_path}/file/new cannot be written: {tmp_path}/file is no folder that you"):
+        check_writable(tmp_path / "file" / "new")
+    monkeypatch.setattr(os, "access", lambda *_: False)  # as in another one's folder; root may write to all
+    with pytest.raises(OSError, match=f"^{tmp_path}/deep/new cannot be written: {tmp_path} is no folder that you may"):
+        check_writable(tmp_path / "deep" / "new")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 @pytest.mark.parametrize("there", [True, False])

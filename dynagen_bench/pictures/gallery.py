@@ -21,7 +21,7 @@ from dynagen_bench.pictures.backend import choose_backend
 from dynagen_bench.pictures.factors import Group, factor_groups, legend
 from dynagen_bench.pictures.returns import BINS, HEIGHT, Distributions, distributions, load_returns
 from dynagen_bench.pictures.strips import LABELS, STEPS, Strip, draw_strips, make_strip
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import check_writable, whole_file
 
 QUALITY: Final = 68
 """Of WebP; a frame of 240 × 240 pixels has about 3 kB."""
@@ -60,6 +60,7 @@ def write_gallery(
 
     Raises:
         ValueError: an unknown robot or dynamics, none or one twice, or data that are damaged.
+        OSError: the file cannot be written.
         RuntimeError: a GL backend is missing.
     """
     for chosen in (robots, labels):
@@ -67,7 +68,8 @@ def write_gallery(
             raise ValueError(f"{list(chosen)} names nothing or something twice: give at least one, and none twice")
     for robot in robots:
         ids.check_robot(robot)
-    choose_backend()  # before minutes of work that ends there
+    check_writable(output)  # this and the next before minutes of work that ends there
+    choose_backend()
     returns = {robot: distributions(load_returns(robot)) for robot in robots}
     strips = {robot: make_strip(robot, labels, steps, folder) for robot in robots}
     frames: dict[str, dict[str, list[str]]] = {robot: {label: [] for label in labels} for robot in robots}

@@ -20,9 +20,10 @@ from dynagen_bench.collection.policies import POLICY_FOLDER, policy_file
 from dynagen_bench.dynamics import compile_nominal, load_dynamics
 from dynagen_bench.envs import HORIZON, ROBOT_CLASSES, BatchPhysics
 from dynagen_bench.pictures.actors import best_snapshot, smooth_actions, stored_snapshots
+from dynagen_bench.pictures.backend import choose_backend
 from dynagen_bench.pictures.bars import track
 from dynagen_bench.pictures.frames import INK, check_pixels, frame_of, open_robot
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import check_writable, whole_file
 
 LABELS: Final = ("nominal", "test0", "test1", "test2", "test3", "test4")
 STEPS: Final = (0, 20, 40, 60, 80)
@@ -156,12 +157,16 @@ def write_strip(
 
     Raises:
         ValueError: as `make_strip`, another suffix, or a size that cannot be drawn.
+        OSError: the file cannot be written.
         RuntimeError: no GL backend draws here.
     """
     formats = {".png": "PNG", ".webp": "WEBP", ".jpg": "JPEG"}
     if output.suffix not in formats:
         raise ValueError(f"cannot write {output.name!r}: let its name end in {', '.join(formats)}")
     check_pixels("size", size)  # before a picture of many of them is allocated
+    ids.check_robot(robot)
+    check_writable(output)  # this and the next before the work that ends there
+    choose_backend()
     strip = make_strip(robot, labels, steps, folder)
     margin, head, pitch = size // 3, size // 6, size + 2
     picture = Image.new("RGB", (margin + pitch * len(labels), head + pitch * len(steps)), "white")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from dynagen_bench.pictures import strips
 from dynagen_bench.pictures.strips import make_strip, write_strip
 
 LABELS = ("nominal", "test0", "test3")
@@ -43,6 +44,16 @@ def test_the_picture_has_a_column_a_body_and_a_row_a_moment(tmp_path):
     assert np.array_equal(frames[0][0], frames[0][1])
     assert not np.array_equal(frames[1][0], frames[1][1])
     assert not np.array_equal(frames[0][0], frames[1][0])
+
+
+def test_the_gl_library_is_looked_for_before_the_work(tmp_path, monkeypatch):
+    def missing():
+        raise RuntimeError("no frame can be drawn")
+
+    monkeypatch.setattr(strips, "choose_backend", missing)
+    monkeypatch.setattr(strips, "make_strip", None)
+    with pytest.raises(RuntimeError, match="no frame can be drawn"):
+        write_strip("Hopper", tmp_path / "a.png", folder=tmp_path)
 
 
 def test_mistakes_are_refused(tmp_path):
