@@ -12,6 +12,7 @@ Each episode has `seed` (Minari's own field), `snapshot`, `policy_sha256` and `d
 
 import dataclasses
 import hashlib
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,8 @@ class DatasetRecord:
         returns: `min`, `max` and `mean` of the episodes' returns.
 
     Raises:
-        ValueError: the recipe or the returns lack something, or there are no episodes or steps.
+        ValueError: the recipe or the returns are no mapping or lack something, the returns or the hash are of another
+            kind, or there are no episodes or steps.
     """
 
     recipe: Mapping[str, Any]
@@ -49,10 +51,19 @@ class DatasetRecord:
             ("recipe", ("dynamics", "every", "mujoco", "policies")),
             ("returns", ("min", "mean", "max")),
         ):
-            if missing := [key for key in wanted if key not in getattr(self, field)]:
+            given = getattr(self, field)
+            if not isinstance(given, Mapping):
+                raise ValueError(f"its {field} are no mapping but {given!r}")
+            if missing := [key for key in wanted if key not in given]:
                 raise ValueError(f"its {field} lack {', '.join(missing)}")
         if not all(isinstance(number, int) and number > 0 for number in (self.episodes, self.steps)):
             raise ValueError(f"it counts {self.episodes!r} episodes and {self.steps!r} steps")
+        numbers = self.returns.values()
+        # the largest float: no infinity, no NaN, no int beyond all floats
+        if not all(isinstance(number, int | float) and abs(number) <= sys.float_info.max for number in numbers):
+            raise ValueError(f"its returns are no finite numbers but {dict(self.returns)}")
+        if not isinstance(self.sha256, str):
+            raise ValueError(f"its sha256 is {self.sha256!r}")
 
     @property
     def mujoco(self) -> str:

@@ -270,7 +270,12 @@ def test_no_dataset_and_no_dataset_of_ours(tmp_path):
         ({"recipe": {}}, "its recipe lack dynamics, every, mujoco, policies"),
         ({"returns": {"min": 1.0}}, "its returns lack mean, max"),
         ({"steps": "many"}, "it counts 8 episodes and 'many' steps"),
-        ({"recipe": None}, "NoneType"),
+        ({"recipe": None}, "its recipe are no mapping but None"),
+        ({"returns": ["min", "mean", "max"]}, "its returns are no mapping but"),
+        ({"returns": {"min": "a", "mean": 1.0, "max": 2.0}}, "its returns are no finite numbers but"),
+        ({"returns": {"min": 1.0, "mean": float("nan"), "max": 2.0}}, "its returns are no finite numbers but"),
+        ({"returns": {"min": 1.0, "mean": 1.5, "max": 10**400}}, "its returns are no finite numbers but"),
+        ({"sha256": 5}, "its sha256 is 5"),
     ],
 )
 def test_a_record_that_lacks_something_is_none_of_ours(build, changes, message):

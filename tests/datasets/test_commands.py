@@ -189,6 +189,18 @@ def test_list_of_nothing(capsys):
     assert "dynagen data build" in capsys.readouterr().out
 
 
+def test_a_damaged_record_is_named_and_hides_none(my_root, monkeypatch, tiny_records, capsys):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(my_root))
+    file = dataset_folder(HOPPERS[1].dataset_id) / "data" / "metadata.json"
+    metadata = json.loads(file.read_text())
+    metadata["dynagen"]["returns"]["min"] = "a"
+    file.write_text(json.dumps(metadata))
+    list_datasets(tiny_records)
+    shown = capsys.readouterr()
+    assert f"{HOPPERS[1].dataset_id} is none of this benchmark's datasets, or damaged" in shown.err
+    assert shown.out.count("official") == 2
+
+
 def test_a_dataset_of_somebody_elses_hides_none(rebuild, tiny_records, capsys):
     rebuild()
     mine = shutil.copytree(dataset_folder(HOPPERS[0].dataset_id), dataset_folder("dynagen/mine/x-v0"))
