@@ -15,6 +15,8 @@ import fcntl
 import glob
 import os
 import shutil
+import stat
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -37,8 +39,8 @@ def check_writable(path: Path) -> None:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a place beside `path` to write to; when the block ends well, it becomes `path`.
 
-    After an error (a full disk) nothing is left, and `path` is what it was. A kill leaves `name.PID.unfinished` behind,
-    which nothing reads. A link stays one: the file that it names is replaced.
+    After an error (a full disk) nothing is left, and `path` is what it was. A kill leaves `name.PID.THREAD.unfinished`
+    behind, which nothing reads. A link stays one: the file that it names is replaced.
 
     Raises:
         ValueError, OSError: as `check_writable`; what is there is left alone.
@@ -46,10 +48,13 @@ def whole_file(path: Path) -> Iterator[Path]:
     check_writable(path)
     path = path.resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f"{path.name}.{os.getpid()}.unfinished")
+    # a name of this thread's own: two that write one file do not take each other's
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}.{threading.get_ident()}.unfinished")
     try:
+        unfinished.touch()
+        mode = stat.S_IMODE(unfinished.stat().st_mode)  # what the user's umask leaves
         yield unfinished
-        unfinished.chmod(0o644)  # some writers keep a file to its owner
+        unfinished.chmod(mode)  # some writers keep a file to its owner
         os.replace(unfinished, path)
     finally:
         unfinished.unlink(missing_ok=True)

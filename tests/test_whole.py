@@ -1,5 +1,6 @@
 """A file or folder appears whole or not at all."""
 
+import concurrent.futures
 import contextlib
 import multiprocessing
 import os
@@ -148,7 +149,34 @@ def test_a_file_is_the_old_one_until_the_new_one_is_whole(tmp_path):
         write_half(path)
     assert path.read_text() == "first"
     assert list(path.parent.iterdir()) == [path]
-    assert path.stat().st_mode & 0o777 == 0o644
+
+
+@pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+def test_a_file_is_for_those_whom_the_users_umask_lets_in(tmp_path, umask, mode):
+    before = os.umask(umask)
+    try:
+        with whole_file(tmp_path / "file") as unfinished:
+            unfinished.touch()
+            unfinished.chmod(0o600)  # as safetensors leaves it
+    finally:
+        os.umask(before)
+    assert (tmp_path / "file").stat().st_mode & 0o777 == mode
+
+
+def test_two_threads_that_write_one_file_take_nothing_of_each_other(tmp_path):
+    both = threading.Barrier(2)
+
+    def write(word):
+        with whole_file(tmp_path / "file") as unfinished:
+            both.wait(10)
+            unfinished.write_text(word)
+            both.wait(10)
+            return unfinished.read_text()
+
+    with concurrent.futures.ThreadPoolExecutor(2) as threads:
+        assert list(threads.map(write, ("one", "two"))) == ["one", "two"]
+    assert (tmp_path / "file").read_text() in ("one", "two")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_what_is_no_file_is_not_replaced_by_one(tmp_path):
