@@ -337,7 +337,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except (ValueError, OSError, RuntimeError) as error:
-        sys.stderr.write(f"dynagen: {error}\n")
+        first, _, _ = str(error).partition("\n")  # h5py's go on for hundreds of lines
+        sys.stderr.write(f"dynagen: {first}\n")
         sys.exit(2)
     except KeyboardInterrupt:
         sys.stderr.write("dynagen: stopped: `collect` and `data` continue when the same command is given again\n")

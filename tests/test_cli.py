@@ -111,6 +111,17 @@ def test_a_stopped_command_ends_in_one_line(capsys, monkeypatch):
     )
 
 
+def test_of_a_long_error_the_first_line_is_said(capsys, monkeypatch):
+    def fail() -> None:
+        """Fail as h5py does."""
+        raise OSError("Can't write data (no space left)\n  #000: H5D.c\n")
+
+    monkeypatch.setitem(COMMANDS, "data list", fail)
+    with pytest.raises(SystemExit):
+        main(["data", "list"])
+    assert capsys.readouterr().err == "dynagen: Can't write data (no space left)\n"
+
+
 @pytest.mark.parametrize("count", [1, 200])
 def test_a_reader_that_goes_away_is_no_mistake(count):
     read, write = os.pipe()

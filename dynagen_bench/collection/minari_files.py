@@ -9,6 +9,7 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -36,6 +37,9 @@ from dynagen_bench.envs import HORIZON
 from dynagen_bench.whole import exclusively, whole_folder
 
 AUTHOR: Final = "DynaGen Bench contributors"
+
+EPISODE_BYTES: Final = 25_000
+"""More than an episode takes on the disk beside its numbers: HDF5 itself has been seen to take 16,400 to 17,800."""
 
 Progress = Callable[[int, int], None]
 """Called as `progress(episodes done, episodes in all)`."""
@@ -84,6 +88,7 @@ def build_dataset(
         FileNotFoundError: there are no policies.
         ValueError: the policies are of another dynamics, or `every` or `episodes_per_snapshot` make no sense.
         RuntimeError: an episode was unstable.
+        OSError: the disk may have no room for it; nothing is left of it then.
     """
     path = policy_file(name, policies_folder)
     snapshots, policy_metadata = load_policies(path)
@@ -168,6 +173,7 @@ def _write(
 ) -> DatasetRecord:
     env = gymnasium.make(name.env_id)
     assert env.spec is not None, "an environment made by its id has a spec"
+    _check_room(folder, env, len(recipe["policies"]) * int(recipe["episodes_per_snapshot"]))
     (folder / "data").mkdir()
     storage = MinariStorage.new(
         folder / "data",
@@ -193,6 +199,21 @@ def _write(
     record = DatasetRecord(recipe, digest.hexdigest(), len(lengths), sum(lengths), returns_summary(returns))
     storage.update_metadata({"dynagen": dataclasses.asdict(record), "ref_min_score": low, "ref_max_score": high})
     return record
+
+
+def _check_room(folder: Path, env: gymnasium.Env[Any, Any], episodes: int) -> None:
+    """Refuse what the disk may not hold when all episodes are long: on a full one h5py ends the process.
+
+    Raises:
+        OSError: there is not enough.
+    """
+    row = env.observation_space.sample().nbytes + env.action_space.sample().nbytes + 10  # and a reward and two flags
+    size = episodes * (HORIZON * row + EPISODE_BYTES)
+    if shutil.disk_usage(folder).free < size:
+        raise OSError(
+            f"no room for {size / 1e6:.1f} MB in {dataset_folder(ids.NAMESPACE)}: make some there, or let "
+            "MINARI_DATASETS_PATH name a folder that has more"
+        )
 
 
 def _metadata(name: ids.DynamicsId, recipe: Mapping[str, Any], env_spec: str) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import functools
 import json
 import os
+import shutil
 import subprocess
 import sys
 import warnings
@@ -253,6 +254,28 @@ def test_bad_input_is_one_line(build, tmp_path, tiny_policies):
     with pytest.raises(ValueError, match="holds policies of Hopper-RandDyn-train0, not of Hopper-RandDyn-test3"):
         build(policies_folder=tmp_path)
     assert not minari.list_local_datasets()
+
+
+def test_a_disk_without_room_is_told_before_anything_is_written(build, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**12, 10**12 - 300_000, 300_000))
+    with pytest.raises(
+        OSError, match=r"^no room for 0\.4 MB in .*/dynagen: make some there, or let MINARI_DATASETS_PA"
+    ):
+        build()
+    assert {path.name for path in dataset_folder(ID).parent.iterdir()} == {".test3-v0.lock", "namespace_metadata.json"}
+
+
+@pytest.mark.parametrize("robot", ["HalfCheetah", "SlimHumanoid"])  # all of their episodes are as long as can be
+def test_no_build_begins_in_less_room_than_it_takes(robot, tmp_path, monkeypatch):
+    name = ids.make_id(robot, "test", 3)
+    store_random_policies(tmp_path, [name])
+    build_dataset(name, policies_folder=tmp_path, episodes_per_snapshot=2)
+    folder = dataset_folder(name.dataset_id)
+    taken = sum(file.stat().st_size for file in (folder / "data").iterdir())
+    shutil.rmtree(folder)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(taken, 0, taken))
+    with pytest.raises(OSError, match="no room for"):
+        build_dataset(name, policies_folder=tmp_path, episodes_per_snapshot=2)
 
 
 def test_no_dataset_and_no_dataset_of_ours(tmp_path):
