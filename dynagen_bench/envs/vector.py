@@ -18,7 +18,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
-from dynagen_bench.dynamics import Dynamics, load_dynamics
+from dynagen_bench.dynamics import Dynamics, apply_dynamics, load_dynamics
 from dynagen_bench.envs.batch import BatchPhysics, Transition, checked_actions
 from dynagen_bench.envs.robots import ROBOT_CLASSES
 from dynagen_bench.envs.rules import Array, position_info, reward_info
@@ -266,7 +266,7 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
             for row in np.flatnonzero(result.unstable):
                 old = np.split(result.states[row], [self.physics.qpos.shape[1]])
                 self._single.set_state(*old)  # type: ignore[no-untyped-call]
-                data = self._single.data  # of the nominal body: its tendons lie and move as those of any draw
+                data = self._single.data  # of another body: its tendons lie and move as those of any draw
                 said["tendon_length"][row], said["tendon_velocity"][row] = data.ten_length, data.ten_velocity
         self._tell(infos, rows, said)
         if result.unstable.any():
@@ -315,7 +315,8 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         """
         if not 0 <= number < self.num_envs:
             raise ValueError(f"there is no sub-environment {number}: choose from 0 to {self.num_envs - 1}")
-        # masses, damping and friction are not seen: the nominal body shows them all
+        # no camera sees a mass, but one that tracks follows the centre of all of them
+        apply_dynamics(self._single.robot, self._single.model, self._pool[self._choice[number]])
         self._single.set_state(self.physics.qpos[number], self.physics.qvel[number])  # type: ignore[no-untyped-call]
         return self._single.render()  # type: ignore[no-untyped-call]
 

@@ -368,14 +368,16 @@ def test_the_specification_is_text_whatever_was_given(chosen):
 
 
 @pytest.mark.usefixtures("gl")
-def test_render_of_one_sub_environment():
-    env = gymnasium.make_vec("Hopper-RandDyn-v0", num_envs=2, split="test", render_mode="rgb_array", width=64)
+@pytest.mark.parametrize(("robot", "camera"), [("Hopper", None), ("Ant", "track")])  # which follows the centre of mass
+def test_render_of_one_sub_environment(robot, camera):
+    looks = {"render_mode": "rgb_array", "width": 64, "camera_name": camera}
+    env = gymnasium.make_vec(f"{robot}-RandDyn-v0", num_envs=2, split="test", **looks)
     env.reset(seed=0)
-    env.step(np.ones((2, 3)))
+    env.step(np.ones(env.action_space.shape))
     frames = env.render()
-    single = gymnasium.make("Hopper-RandDyn-test1", render_mode="rgb_array", width=64)
+    single = gymnasium.make(f"{robot}-RandDyn-test1", **looks)
     single.reset(seed=1)
-    single.step(np.ones(3))
+    single.step(np.ones(single.action_space.shape))
     # a frame of Gymnasium's shows where the last substep began: ours is of the state, so the state is put in again
     single.unwrapped.set_state(single.unwrapped.data.qpos, single.unwrapped.data.qvel)
     assert len(frames) == 2
