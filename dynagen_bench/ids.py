@@ -43,7 +43,10 @@ class DynamicsId:
 
     @property
     def env_id(self) -> str:
-        """Gymnasium's id of this dynamics, `Hopper-RandDyn-test3`."""
+        """Gymnasium's id of this dynamics, `Hopper-RandDyn-test3`.
+
+        Of `nominal` it is a name and no id: that one is made by `gymnasium.make(v0_env_id(robot), split="nominal")`.
+        """
         return f"{self.robot}-RandDyn-{self.label}"
 
     @property
