@@ -5,12 +5,15 @@ dataset holds is in `contents`.
 """
 
 import concurrent.futures
+import contextlib
 import dataclasses
 import hashlib
 import itertools
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -101,13 +104,13 @@ def build_dataset(
     recipe = _recipe(name, chosen, episodes_per_snapshot, every)
     total = len(chosen) * episodes_per_snapshot
     folder = dataset_folder(name.part_id(every))
-    with exclusively(folder):
+    with exclusively(folder), _stopped_between() as check_stopped:
         kept = _intact_record(folder, recipe, expected_sha256)
         if kept is None:
             _ensure_namespace(name.robot)
             episodes = _counted(collect_episodes(name, chosen, episodes_per_snapshot), total, progress)
             with whole_folder(folder) as unfinished:
-                kept = _write(unfinished, name, recipe, episodes, reference)
+                kept = _write(unfinished, name, recipe, episodes, reference, check_stopped)
     progress(total, total)
     return kept
 
@@ -133,13 +136,41 @@ def _counted(items: Iterator[_Item], total: int, progress: Progress) -> Iterator
         yield item
 
 
-def _ahead(items: Iterator[_Item], size: int) -> Iterator[list[_Item]]:
-    """The items in lists of `size`, each made while the one before it is used: physics runs while files are written."""
+def _ahead(items: Iterator[_Item], size: int, check_stopped: Callable[[], None]) -> Generator[list[_Item], None, None]:
+    """The items in lists of `size`, each made while the one before it is used: physics runs while files are written.
+
+    Closing it waits for the list that is being made: a process that ends while a thread steps physics crashes.
+    """
     with concurrent.futures.ThreadPoolExecutor(max_workers=1) as thread:
         coming = thread.submit(lambda: list(itertools.islice(items, size)))
         while batch := coming.result():
+            check_stopped()  # here, where no list is being made that would be waited for
             coming = thread.submit(lambda: list(itertools.islice(items, size)))
             yield batch
+
+
+@contextlib.contextmanager
+def _stopped_between() -> Iterator[Callable[[], None]]:
+    """Hold Ctrl-C back; what is yielded raises KeyboardInterrupt if there has been one, as the end of the block does.
+
+    Raised at any moment it may be in h5py, which drops it, or end the wait for the thread that steps physics.
+    """
+    asked: list[int] = []
+
+    def check() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    in_main = threading.current_thread() is threading.main_thread()  # no other thread is interrupted, or may ask
+    if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield check
+        return
+    signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    check()
 
 
 def _intact_record(folder: Path, recipe: Mapping[str, Any], expected_sha256: str | None) -> DatasetRecord | None:
@@ -170,6 +201,7 @@ def _write(
     recipe: Mapping[str, Any],
     episodes: Iterator[Episode],
     reference: tuple[float, float] | None,
+    check_stopped: Callable[[], None],
 ) -> DatasetRecord:
     env = gymnasium.make(name.env_id)
     assert env.spec is not None, "an environment made by its id has a spec"
@@ -186,14 +218,16 @@ def _write(
     env.close()
 
     digest, lengths, returns = hashlib.sha256(), list[int](), list[float]()
-    for batch in _ahead(episodes, int(recipe["episodes_per_snapshot"])):
-        storage.update_episodes([_buffer(episode) for episode in batch])
-        metadata = [{"snapshot": e.snapshot, "policy_sha256": e.policy_hash, "dynamics": name.env_id} for e in batch]
-        storage.update_episode_metadata(metadata, range(len(lengths), len(lengths) + len(batch)))
-        for episode in batch:
-            add_to_hash(digest, episode)
-            lengths.append(len(episode))
-            returns.append(episode.total_reward)
+    size = int(recipe["episodes_per_snapshot"])
+    with contextlib.closing(_ahead(episodes, size, check_stopped)) as batches:
+        for batch in batches:
+            storage.update_episodes([_buffer(episode) for episode in batch])
+            about = [{"snapshot": e.snapshot, "policy_sha256": e.policy_hash, "dynamics": name.env_id} for e in batch]
+            storage.update_episode_metadata(about, range(len(lengths), len(lengths) + len(batch)))
+            for episode in batch:
+                add_to_hash(digest, episode)
+                lengths.append(len(episode))
+                returns.append(episode.total_reward)
 
     low, high = reference or (min(returns), max(returns))
     record = DatasetRecord(recipe, digest.hexdigest(), len(lengths), sum(lengths), returns_summary(returns))

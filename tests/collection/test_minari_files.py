@@ -1,11 +1,14 @@
 """One dynamics' Minari dataset: what it holds, that it can be made again, and what is kept of what is there."""
 
+import contextlib
 import functools
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 import warnings
 
 import gymnasium
@@ -15,6 +18,7 @@ import numpy as np
 import pytest
 
 from dynagen_bench import ids
+from dynagen_bench.collection import minari_files
 from dynagen_bench.collection.contents import content_hash, dataset_folder, read_episodes, read_record
 from dynagen_bench.collection.episodes import collect_episodes
 from dynagen_bench.collection.minari_files import build_dataset, every_nth
@@ -276,6 +280,30 @@ def test_no_build_begins_in_less_room_than_it_takes(robot, tmp_path, monkeypatch
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(taken, 0, taken))
     with pytest.raises(OSError, match="no room for"):
         build_dataset(name, policies_folder=tmp_path, episodes_per_snapshot=2)
+
+
+@pytest.mark.parametrize(("moment", "kept"), [(3, 0), (8, 1)])  # in the middle; in the last episode, when all is there
+def test_ctrl_c_is_never_lost_and_leaves_no_thread(build, monkeypatch, moment, kept):
+    buffers, threads, as_ever = [], threading.active_count(), minari_files._buffer
+
+    def drop_it(episode):
+        buffers.append(as_ever(episode))
+        if len(buffers) == moment:
+            for _ in range(2):
+                with contextlib.suppress(KeyboardInterrupt):  # as a callback in h5py does
+                    signal.raise_signal(signal.SIGINT)
+        return buffers[-1]
+
+    monkeypatch.setattr(minari_files, "_buffer", drop_it)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # in a shell's background it is ignored
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            build()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert threading.active_count() == threads
+    assert len(minari.list_local_datasets()) == kept
 
 
 def test_no_dataset_and_no_dataset_of_ours(tmp_path):
