@@ -18,6 +18,7 @@ from typing import Annotated, Any
 import numpy as np
 import rich
 import rich.table
+import torch
 import tyro
 
 from agents.checkpoint import package_versions
@@ -32,7 +33,7 @@ from agents.fine_tuning import (
     write_curve,
 )
 from agents.recording import progress_bar
-from agents.run_folder import ADAPTATION_CURVE, git_commit, locked, read_json, write_json
+from agents.run_folder import ADAPTATION_CURVE, commit_of_all, git_commit, locked, read_json, write_json
 from agents.threads import use_threads
 from dynagen_bench import ids
 from dynagen_bench.evaluation import Evaluation
@@ -49,6 +50,7 @@ def adapt(folder: Path, settings: AdaptationSettings) -> Path:
     """
     run = TrainedRun.read(folder)
     settings = settings.for_agent(run.checkpoint.build_agent(), run.checkpoint.config)
+    assert settings.steps is not None, "for_agent fills it in"
     robot, result, parts = run.checkpoint.spec.robot, folder / "adaptation.json", folder / "adaptation"
     facts = {
         "agent": run.checkpoint.agent,
@@ -64,9 +66,13 @@ def adapt(folder: Path, settings: AdaptationSettings) -> Path:
         names = ids.choose_ids(robot, "test")
         files = [parts / f"{name.label}.json" for name in names]
         _adapt_each(run, settings, dict(zip(files, names, strict=True)), {**facts, "physics": physics_digest(robot)})
-        hours = run.record["hours"] + sum(read_json(file)["hours"] for file in files)
-        found = join([read_result(file) for file in files])
-        _write_result(result, {**facts, "hours": hours, "commit": git_commit()}, found)
+        made = [read_json(file) for file in files]
+        how = {
+            "hours": run.record["hours"] + sum(part["hours"] for part in made),
+            "commit": commit_of_all([part.get("commit") for part in made]),
+            "threads": min({part.get("threads", 0) for part in made}),
+        }
+        _write_result(result, {**facts, **how}, join([read_result(file) for file in files]))
         shutil.rmtree(parts)
     return result
 
@@ -75,16 +81,17 @@ def _adapt_each(
     run: TrainedRun, settings: AdaptationSettings, names: Mapping[Path, ids.DynamicsId], facts: dict[str, Any]
 ) -> None:
     """Make the files that are not there, of `facts`, one per dynamics."""
-    data = run.data(list(names.values()), settings.episodes)
+    data, steps = run.data(list(names.values()), settings.episodes), settings.steps or 0
     with progress_bar() as bars:
-        bar = bars.add_task(f"{run.folder.name}, adapting", total=settings.steps * len(names), note="")
+        bar = bars.add_task(f"{run.folder.name}, adapting", total=steps * len(names), note="")
         for number, (file, name) in enumerate(names.items()):
-            bars.update(bar, completed=number * settings.steps, note=name.label)
+            bars.update(bar, completed=number * steps, note=name.label)
             if not _is_of(file, facts):
                 started, tuning = time.monotonic(), FineTuning(run.checkpoint, settings, name, data[number])
-                tuning.advance_to(settings.steps, lambda: bars.advance(bar))
+                tuning.advance_to(steps, lambda: bars.advance(bar))
                 evaluation = tuning.evaluate()
-                _write_result(file, {**facts, "hours": (time.monotonic() - started) / 3600}, evaluation)
+                how = {"commit": git_commit(), "threads": torch.get_num_threads()}
+                _write_result(file, {**facts, **how, "hours": (time.monotonic() - started) / 3600}, evaluation)
 
 
 def _is_of(file: Path, facts: dict[str, Any]) -> bool:

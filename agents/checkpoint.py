@@ -26,6 +26,7 @@ from torch import Tensor
 from agents import TRAINABLE
 from agents.config import TrainingConfig
 from agents.interface import RobotSpec, Trainable
+from agents.run_folder import identity
 from dynagen_bench.datasets.normalization import Normalization
 from dynagen_bench.whole import whole_file
 
@@ -60,10 +61,27 @@ class Checkpoint:
     versions: Mapping[str, str]
 
     def build_agent(self) -> Trainable:
-        """The agent or predictor with these parameters; raises RuntimeError where they are not those of the config."""
+        """The agent or predictor with these parameters; raises ValueError where they are not those of the config."""
         agent: Trainable = TRAINABLE[self.agent][1](self.config, self.spec, torch.Generator())
-        agent.load_state_dict(self.parameters)
+        self.fill(agent)
         return agent
+
+    def fill(self, agent: Trainable) -> None:
+        """Give an agent of this config these parameters; raises ValueError where it has others."""
+        try:
+            agent.load_state_dict(self.parameters)
+        except RuntimeError as error:
+            reason = " ".join(str(error).split())
+            raise ValueError(
+                f"the parameters are not those that this code's {self.agent!r} has ({reason}): use the code that wrote "
+                "them"
+            ) from error
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What tells runs apart, as far as it is told here."""
+        config = dataclasses.asdict(self.config)
+        return identity({"agent": self.agent, "config": config, "settings": {"seed": self.seed}})
 
 
 def package_versions() -> dict[str, str]:

@@ -5,7 +5,7 @@ know the training loop, nor in which dynamics a window was collected.
 
     tokens   R̂ₜ  sₜ  aₜ
     trunk     ╰───┴───╯
-    heads         aₜ  sₜ₊₁      the next state from its step's action token: from states and actions up to t
+    heads         aₜ  sₜ₊₁      the next state from its step's action token: from all tokens up to it
     loss     mean (âₜ − aₜ)² + λ · mean (ŝₜ₊₁ − sₜ₊₁)²,  states normalised, both means over steps that are no padding
 
 The paper fixes neither the token that the next state is predicted from nor the scale of its error: the action token is

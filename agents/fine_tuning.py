@@ -46,10 +46,10 @@ class AdaptationSettings:
         ValueError: a field is out of its range.
     """
 
-    steps: int = 2000
-    """Gradient steps for each dynamics; the paper gives no number. In held-out train dynamics of Hopper the mean return
-    first falls, until some 500 steps, and still rises at 5,000, the last point measured (docs/results.md, one run;
-    `--curve` measures it). 2,000 is the default for its cost."""
+    steps: int | None = None
+    """Gradient steps for each dynamics; the paper gives no number, 2,000 if left out. In held-out train dynamics of
+    Hopper the mean return first falls, until some 500 steps, and still rises at 5,000, the last point measured
+    (docs/results.md, one run; `--curve` measures it). 2,000 is the default for its cost."""
     learning_rate: float | None = None
     """Constant; the paper's 1e-5 if left out, for an agent with parts of its own for each dynamics that of training."""
     weight_decay: float | None = None
@@ -68,14 +68,22 @@ class AdaptationSettings:
         check_ranges(self, {field: limits for field, limits in ranges.items() if getattr(self, field) is not None})
 
     def for_agent(self, agent: Trainable, config: TrainingConfig) -> Self:
-        """These with what is left out filled in for an agent of that config; one that is given data takes no step."""
-        own: Mapping[str, Any] = PAPER
+        """These with what is left out filled in for an agent of that config.
+
+        Raises:
+            ValueError: steps are asked for of an agent that is given data and takes none.
+        """
+        own: dict[str, Any] = {"steps": 2000, **PAPER}
         if isinstance(agent, ForTask):
-            own = {field: getattr(config, field) for field in PAPER}
-        filled = {field: value for field, value in own.items() if getattr(self, field) is None}
+            own |= {field: getattr(config, field) for field in PAPER}
         if isinstance(agent, Contextual):
-            filled["steps"] = 0
-        return dataclasses.replace(self, **filled)
+            own["steps"] = 0
+            if self.steps:
+                raise ValueError(
+                    f"steps is {self.steps}, and the agent is told the dynamics by data and takes no gradient step "
+                    "there: leave out --steps"
+                )
+        return dataclasses.replace(self, **{k: value for k, value in own.items() if getattr(self, k) is None})
 
 
 @dataclasses.dataclass(frozen=True)

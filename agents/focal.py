@@ -14,7 +14,8 @@ Written after github.com/FOCAL-ICLR/FOCAL-ICLR (rlkit/torch/sac/sac.py, rlkit/to
 for walker_rand_params. `variant="as_released"` keeps three things that are not as its paper has them: the penalty of c
 is on its output, where the paper and BRAC have its gradient; a batch never has two sets of one dynamics, so that the
 first half of the distance metric loss is never there; and α is clipped where it is used but not where it is kept, so
-that it winds up. Other differences: all losses of an update are taken at the same parameters, and one step of c at
+that it winds up. The distance in the first half is the code's in both variants, the root of a mean, where the paper has
+the square. Other differences: all losses of an update are taken at the same parameters, and one step of c at
 3e-4 stands for its three of 1e-4; states are normalised by mean and deviation, and not by their largest; the last step
 of an episode is terminal where the robot fell alone, there where it was cut off too; there is no penalty on the value,
 which its configs of other tasks have; and Walker's numbers serve every robot, where its hopper_rand_params.json has ten

@@ -89,8 +89,8 @@ class Learner:
         )
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go back to a checkpoint of this agent, config and seed."""
-        self.agent.load_state_dict(checkpoint.parameters)
+        """Go back to a checkpoint of this agent, config and seed; raises ValueError where its parameters are others."""
+        checkpoint.fill(self.agent)
         names = [name for name, _ in self.agent.named_parameters()]
         state = {i: dict(checkpoint.optimizer[name]) for i, name in enumerate(names) if name in checkpoint.optimizer}
         self.optimizer.load_state_dict({"state": state, "param_groups": self.optimizer.state_dict()["param_groups"]})

@@ -5,7 +5,7 @@ know any agent.
 
     runs/dadt-Hopper-seed0/
       config.json             resolved config and settings, data, package versions, git commit: of the last command that
-                              took a step, not of one that found the run complete
+                              took a step, not of one that found the run complete; a commit that was untold stays so
       curves.csv              a line every `log_every` steps; TensorBoard's events beside it in tensorboard/
       last.safetensors        the last checkpoint, from which a killed run continues
       evaluation.json         the official result: the last checkpoint's in the test dynamics; `stopped_early` in it
@@ -16,6 +16,7 @@ know any agent.
                               evaluation-best.safetensors
       adaptation.json         the result of fine-tuning the last checkpoint for each test dynamics (`adapt`), its traces
       adaptation.safetensors  beside it; adaptation/ holds the dynamics that are done, until all are
+      adaptation-curve.csv    returns by steps of fine-tuning, in train dynamics that the run held out (`adapt --curve`)
       prediction.json         the last checkpoint's next-state errors in the data of the test dynamics: what a predictor
                               has in place of evaluations, and `predict` adds for agents that can
       evaluation-train.json   returns in train dynamics, beside the untrained agent's and those of random actions
@@ -28,12 +29,13 @@ import dataclasses
 import fcntl
 import json
 import subprocess
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from torch.utils.tensorboard.writer import SummaryWriter
 
+from agents import TRAINABLE
 from agents.config import TrainingConfig
 from dynagen_bench import ids
 from dynagen_bench.datasets.subsets import check_quality
@@ -135,7 +137,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def read_config(folder: Path) -> dict[str, Any]:
-    """A run's config.json; what it does not tell, being older than a setting or field of every config, has its default.
+    """A run's config.json; what it does not tell, being older than a setting or a field of its config, has its default.
 
     Raises:
         ValueError: one line, it is not what training writes.
@@ -147,15 +149,13 @@ def read_config(folder: Path) -> dict[str, Any]:
         raise ValueError(f"{path} tells no agent, config and settings: delete the run folder and train again")
     if not isinstance(about["settings"].get("robot"), str) or not isinstance(about["settings"].get("seed"), int):
         raise ValueError(f"{path} tells no robot and seed: delete the run folder and train again")
-    about["settings"] = _defaults(RunSettings) | about["settings"]
-    about["config"] = _defaults(TrainingConfig) | about["config"]
+    fields = (field for field in dataclasses.fields(RunSettings) if field.name not in ("robot", "runs"))
+    usual = TRAINABLE[about["agent"]][0]() if about["agent"] in TRAINABLE else TrainingConfig()
+    if (robot := about["settings"]["robot"]) in ids.ROBOTS:
+        usual = usual.for_robot(robot)
+    about["settings"] = {field.name: field.default for field in fields} | about["settings"]
+    about["config"] = dataclasses.asdict(usual) | about["config"]
     return about
-
-
-def _defaults(kind: type[RunSettings | TrainingConfig]) -> dict[str, Any]:
-    """Of the fields that config.json tells of a new run."""
-    fields = dataclasses.fields(kind)
-    return {x.name: x.default for x in fields if x.default is not dataclasses.MISSING and x.name != "runs"}
 
 
 @contextlib.contextmanager
@@ -166,7 +166,7 @@ def claimed(folder: Path, description: Mapping[str, Any]) -> Iterator[dict[str, 
 
     Args:
         folder: made if it is not there.
-        description: JSON with `agent`, `config`, `settings` and `data`, which tell whether it is the same run. More
+        description: with `agent`, `config`, `settings` and `data`, which tell whether it is the same run. More
             steps, and other intervals, are the same run continued.
 
     Raises:
@@ -176,8 +176,7 @@ def claimed(folder: Path, description: Mapping[str, Any]) -> Iterator[dict[str, 
     with locked(folder):
         there = read_config(folder) if (folder / "config.json").is_file() else None
         if there is not None:
-            here = _identity(json.loads(json.dumps(description)))
-            check_same_run(folder, _identity(there), here, instead="--name")
+            check_same_run(folder, identity(there), identity(description), instead="--name")
         yield there
 
 
@@ -236,9 +235,9 @@ def check_same_run(folder: Path, there: Mapping[str, Any], here: Mapping[str, An
             )
 
 
-def _identity(description: Mapping[str, Any]) -> dict[str, Any]:
+def identity(description: Mapping[str, Any]) -> dict[str, Any]:
     """What tells runs apart; the number of steps is a part of it where the learning rate falls towards the last."""
-    facts = _facts(description)
+    facts = _facts(json.loads(json.dumps(description)))
     length = {"patience"} if facts.get("decay_steps") else set(_LENGTH)
     return {key: value for key, value in facts.items() if key not in {*_RECORD_ONLY, *length}}
 
@@ -263,6 +262,11 @@ def git_commit() -> str | None:
 def is_committed(commit: str | None) -> bool:
     """Whether what `git_commit` gave is a state of the code that anybody can check out."""
     return commit is not None and not commit.endswith("-dirty")
+
+
+def commit_of_all(commits: Sequence[str | None]) -> str | None:
+    """What to tell of a result that was made in parts: the last commit, or the first that nobody can check out."""
+    return next((commit for commit in commits if not is_committed(commit)), commits[-1])
 
 
 class Curves:

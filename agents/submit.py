@@ -203,7 +203,8 @@ def _commands(run: FinishedRun, checkpoint: str) -> list[str]:
         folder = dataclasses.replace(defaults, **{key: settings[key] for key in named}).folder(agent)
         # the paper has no number of steps: ours may be another in the commit that has adapted the run
         usual = dataclasses.asdict(AdaptationSettings()) | PAPER | {"steps": None}
-        options = _options(_changed(run.record["adaptation"], usual))
+        threads = {"threads": run.record.get("threads", 0)}  # 0: it was made at several numbers, or before it was told
+        options = _options(_changed(run.record["adaptation"] | threads, usual | {"threads": 0}))
         commands.append(" ".join([f"python -m agents.adapt {folder.as_posix()}", *options]))
     return commands
 

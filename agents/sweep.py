@@ -3,8 +3,8 @@
 What is here: running what `sweep_plan` has read, and the page of the curves. Called from the command line; `train_one`
 by a job's process. It must not know how a run goes, nor how jobs are run.
 
-What a run is, its resolved config, is part of its job; the command that makes it alone is in its config.json. A sweep
-that was stopped goes on when the same command is given again.
+What a run is, its resolved config, is part of its job; the command that makes it alone is in its config.json, beside
+the one thread that it has here. A sweep that was stopped goes on when the same command is given again.
 """
 
 import contextlib

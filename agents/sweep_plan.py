@@ -99,8 +99,7 @@ def is_finished(one: SweepRun, runs: Path) -> bool:
     if not path.is_file():
         return False
     found = read_config(path.parent)
-    old = _description(dataclasses.replace(one, config=type(one.config)()))  # for what is newer than it
-    old |= {**found["settings"], **found["config"], "agent": found["agent"]}
+    old = {**found["settings"], **found["config"], "agent": found["agent"]}
     there, here = ({k: v for k, v in facts.items() if k not in _OURS} for facts in (old, _description(one)))
     check_same_run(path.parent, there, here, instead="--runs")
     files = [runs / output for output in one.job.outputs]

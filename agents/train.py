@@ -3,9 +3,9 @@
 What is here: from a config to a run folder with curves, checkpoints and the official evaluation. Called from the
 command line and by the demo. It must not know any agent by name: `TRAINABLE` has them.
 
-A run is a function of (agent, config, seed, data). The randomness of a step is drawn from (seed, step) alone, so that a
-run that was killed continues from its last checkpoint with the parameters of one that was not: give the same command
-again.
+A run is a function of (agent, config, seed, data), on one machine at one number of threads. The randomness of a step
+is drawn from (seed, step) alone, so that a run that was killed continues from its last checkpoint with the parameters
+of one that was not: give the same command again.
 """
 
 import dataclasses
@@ -18,6 +18,7 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 import rich
+import torch
 import tyro
 
 from agents import TRAINABLE
@@ -32,7 +33,9 @@ from agents.run_folder import (
     LEARNED,
     Curves,
     RunSettings,
+    check_same_run,
     claimed,
+    commit_of_all,
     ends_run,
     git_commit,
     read_curve,
@@ -89,7 +92,11 @@ def train(
         learner = Learner(name, config, RobotSpec.of_robot(settings.robot, normalization), settings.seed)
         last = folder / "last.safetensors"
         if last.is_file():
-            learner.restore(load_checkpoint(last, agent=name, robot=settings.robot))
+            checkpoint = load_checkpoint(last, agent=name, robot=settings.robot)
+            check_same_run(last, checkpoint.identity, learner.checkpoint().identity, instead="--name")
+            learner.restore(checkpoint)
+        if before is not None and learner.step > 0:  # the steps that are there were made by its commit
+            description["commit"] = commit_of_all([before.get("commit"), description["commit"]])
         if learner.step > config.steps:
             raise ValueError(f"{folder} is at step {learner.step} already: give --steps {learner.step} or more")
         check_patience(name, learner.agent, settings.patience)
@@ -195,11 +202,12 @@ def check_finite(dataset: OfflineDataset) -> None:
 
 
 def describe(name: str, config: TrainingConfig, settings: RunSettings, dataset: OfflineDataset) -> dict[str, Any]:
-    """What config.json says of a run."""
+    """What config.json says of a run; of its threads how many there are."""
+    given = {key: value for key, value in dataclasses.asdict(settings).items() if key != "runs"}
     return {
         "agent": name,
         "config": dataclasses.asdict(config),
-        "settings": {key: value for key, value in dataclasses.asdict(settings).items() if key != "runs"},
+        "settings": {**given, "threads": torch.get_num_threads()},
         "data": {"episodes": len(dataset.episode_lengths), "data_steps": dataset.num_steps},
         "versions": package_versions(),
         "commit": git_commit(),

@@ -87,8 +87,9 @@ def _check_runs(entry: Submission, more: Submission) -> None:
 
 
 def _commands(submission: Submission, robot: str) -> set[str]:
-    """The commands that name a robot, without the numbers of their seeds."""
-    return {re.sub(r"(seed[ =]?)\d+", r"\1", command) for command in submission.commands if robot in command}
+    """The commands that name a robot, but for their seeds, and their threads, which move the last bits alone."""
+    told = (command for command in submission.commands if robot in command)
+    return {re.sub(r" --(seed|threads)[ =]\d+|(?<=seed)\d+", "", command) for command in told}
 
 
 def _with_commit(submission: Submission) -> list[Run]:

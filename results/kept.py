@@ -1,4 +1,4 @@
-"""Runs that are kept in the repository: without weights and traces, which are made again by the commands they tell.
+"""Runs that are kept in the repository: without weights and traces, which the commands that they tell make again.
 
 What is here: `keep`, and reading what is kept: curves, next-state errors, the steps of adaptation, times of the compute
 benchmark. Called by the command line and the page. It must not know how anything looks.
@@ -37,7 +37,7 @@ REFERENCE: Final = "reference"
 _COPIED: Final = ("curves.csv", PREDICTION, ADAPTATION_CURVE, LEARNED)
 
 _OF_A_MACHINE: Final = ("runs", "name", "threads")
-"""Settings that say where a run was made, and nothing about it."""
+"""Settings that say where a run was made, and nothing about it but for its last bits."""
 
 
 class Errors(NamedTuple):

@@ -114,8 +114,11 @@ class MerPOConfig(TrainingConfig):
         super().__post_init__()
         sizes = {"model_hidden": 65536, "hidden": 65536, "tasks": 1000, "members": 100, "rollout": 1000}
         layers = {"model_layers": 20, "layers": 20}
-        starts = {"starts": self.batch_size}
-        check_ranges(self, {field: (1, most) for field, most in (sizes | layers | starts).items()})
+        check_ranges(self, {field: (1, most) for field, most in (sizes | layers | {"starts": 10**6}).items()})
+        if self.starts > self.batch_size:
+            raise ValueError(
+                f"starts is {self.starts} and batch_size {self.batch_size}: give a batch size of at least `starts`"
+            )
         shares = ("meta_rate", "discount", "follow", "real_share", "alpha", "adaptation_model_share")
         check_ranges(self, dict.fromkeys(shares, (0.0, 1.0)) | dict.fromkeys(("eta", "beta", "penalty"), (0.0, 1e9)))
         check_first_phase(self, "model_steps", rest="the actor and the critics")

@@ -41,14 +41,14 @@ class Steps(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """What K nets of each of M dynamics say of R steps."""
+    """What E nets of each of M dynamics say of R steps."""
 
     mean: Tensor
-    """(K, M, R, S + 1), change of the normalised state, and reward."""
+    """(E, M, R, S + 1), change of the normalised state, and reward."""
     log_variance: Tensor
-    """(K, M, R, S + 1)."""
+    """(E, M, R, S + 1)."""
     end: Tensor
-    """(K, M, R), logit of the probability that the step ends the episode."""
+    """(E, M, R), logit of the probability that the step ends the episode."""
 
 
 class WorldModel(nn.Module):
@@ -143,7 +143,7 @@ class WorldModel(nn.Module):
 
 
 def _read(output: Tensor, kinds: int) -> Prediction:
-    """The parts of outputs (K · M, R, 2 (S + 1) + 1)."""
+    """The parts of outputs (E · M, R, 2 (S + 1) + 1)."""
     each = output.shape[-1] // 2
     output = output.view(kinds, -1, *output.shape[1:])
     mean, raw, end = output[..., :each], output[..., each : 2 * each], output[..., -1]
@@ -153,7 +153,7 @@ def _read(output: Tensor, kinds: int) -> Prediction:
 
 
 def _surprise(found: Prediction, steps: Steps) -> Tensor:
-    """Negative log likelihood (K, M, R) of what followed."""
+    """Negative log likelihood (E, M, R) of what followed."""
     target = torch.cat((steps.following - steps.observations, steps.rewards[..., None]), dim=-1)
     square = (found.mean - target).square() * (-found.log_variance).exp()
     gaussian = 0.5 * (square + found.log_variance + math.log(2 * math.pi)).sum(dim=-1)

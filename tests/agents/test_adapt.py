@@ -118,11 +118,16 @@ def test_stopped_at_any_time_it_goes_on_with_the_dynamics_it_was_at(run, tiny_da
         return update(self, sampler)
 
     monkeypatch.setattr(Learner, "update", stopped)
+    monkeypatch.setattr("agents.adapt.git_commit", lambda: "a" * 40 + "-dirty")
     with pytest.raises(SystemExit, match="the same command again"):
         main([str(run), "--steps", "3", "--learning-rate", "0.01", "--batch-size", "4", "--episodes", "2"])
     assert not (run / "adaptation.json").exists()
     assert sorted(file.name for file in (run / "adaptation").glob("*.json")) == ["test0.json", "test1.json"]
+    monkeypatch.setattr("agents.adapt.git_commit", lambda: "b" * 40)
     again = read_result(adapt(run, FAST))
+    record = json.loads((run / "adaptation.json").read_text())
+    assert record["commit"] == "a" * 40 + "-dirty"  # two of its dynamics are of code that nobody has
+    assert record["threads"] == torch.get_num_threads()
     assert len(taken) == 8 + 9
     assert np.array_equal(again.returns, whole.returns)
     assert again.traces.sha256 == whole.traces.sha256
@@ -226,7 +231,11 @@ def test_an_agent_that_is_told_dynamics_by_data_is_given_them_and_takes_no_step(
     )
     data = dataclasses.replace(random_dataset(), episode_dynamics=np.array([0, 1, 1]))
     folder = train("focal", config, settings(tmp_path / "runs", evaluate_every=0), data)
-    result = adapt(folder, FAST)
+    with pytest.raises(
+        ValueError, match=r"^steps is 3, and the agent is told the dynamics by data .* leave out --steps$"
+    ):
+        adapt(folder, FAST)
+    result = adapt(folder, dataclasses.replace(FAST, steps=None))
     record, adapted = json.loads(result.read_text()), read_result(result)
     assert record["gradient_steps"] == record["trained_steps"] == 2
     agent = load_checkpoint(folder / "last.safetensors").build_agent()

@@ -57,6 +57,16 @@ def test_a_restored_learner_goes_on_as_if_nothing_happened(learner, tmp_path):
         assert torch.equal(value, other.checkpoint().parameters[key])
 
 
+def test_parameters_of_other_code_are_one_line(learner):
+    found = learner.checkpoint()
+    renamed = {f"old_{name}": value for name, value in found.parameters.items()}
+    other = dataclasses.replace(found, parameters=renamed)
+    for use in (other.build_agent, lambda: learner.restore(other)):
+        with pytest.raises(ValueError, match=f"are not those that this code's '{learner.name}' has") as caught:
+            use()
+        assert "\n" not in str(caught.value)
+
+
 def test_the_same_checkpoint_is_the_same_file(learner, tmp_path):
     for file in ("a", "b"):
         save_checkpoint(tmp_path / file, learner.checkpoint())

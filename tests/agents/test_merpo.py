@@ -384,7 +384,8 @@ def test_critics_value_imagined_steps_below_the_data(beta, low, high):
     [
         ({"tasks": 0}, "tasks is 0"),
         ({"alpha": 1.5}, "alpha is 1.5"),
-        ({"starts": 65}, "starts is 65: give a whole number from 1 to 64"),
+        ({"starts": 65}, "starts is 65 and batch_size 64: give a batch size of at least `starts`"),
+        ({"starts": 0}, "starts is 0: give a whole number from 1 to"),
         ({"steps": 10, "model_steps": 10}, "model_steps is 10 of 10 steps"),
         ({"model_steps": 0}, "model_steps is 0"),
     ],

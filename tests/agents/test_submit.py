@@ -40,7 +40,9 @@ def test_runs_become_a_submission_that_the_leaderboard_reads(tmp_path):
         assert submitted.trace is not None
         assert [point.gradient_steps for point in submitted.curve] == [1, 2]
         assert submitted.curve[-1].mean_return == pytest.approx(evaluation.returns.mean(), rel=1e-6)
-    assert found.commands[1].startswith("python -m agents.train dadt --robot Hopper --seed 1 --every 4 --context 5 ")
+    assert found.commands[1].startswith(
+        "python -m agents.train dadt --robot Hopper --seed 1 --every 4 --threads 1 --context 5 "
+    )
     assert all(check.label == "replayed" for check in verify(tmp_path / "out", found))
     assert found.versions.keys() >= {"torch", "mujoco", "numpy", "gymnasium"}
 
@@ -111,8 +113,8 @@ def test_what_was_fine_tuned_is_a_submission_of_the_other_track(tmp_path, tiny_d
     assert (found.runs[0].gradient_steps, found.hours) == (5, record["hours"])
     assert found.runs[0].evaluation.returns == record["evaluation"]["returns"]
     assert found.runs[0].curve == []
-    assert found.commands[0].startswith("python -m agents.train dadt --robot Hopper --seed 1 --context 5 ")
-    expected = "python -m agents.adapt runs/dadt-Hopper-seed1 --steps 3 --learning-rate 0.01 --episodes 4"
+    assert found.commands[0].startswith("python -m agents.train dadt --robot Hopper --seed 1 --threads 1 --context 5 ")
+    expected = "python -m agents.adapt runs/dadt-Hopper-seed1 --steps 3 --learning-rate 0.01 --episodes 4 --threads 1"
     assert found.commands[1:] == [expected]
     assert [check.label for check in verify(tmp_path / "out", found)] == ["replayed"]
 
@@ -125,11 +127,12 @@ def test_the_steps_of_an_adaptation_are_told_also_where_they_are_the_default(tmp
     folder = run(tmp_path, every=1)
     adapt(folder, AdaptationSettings(steps=1, episodes=2))
     record = json.loads((folder / "adaptation.json").read_text())
-    record["adaptation"] = dataclasses.asdict(AdaptationSettings()) | PAPER
+    record["adaptation"] = dataclasses.asdict(AdaptationSettings()) | PAPER | {"steps": 2000}
+    del record["threads"]  # older than that
     (folder / "adaptation.json").write_text(json.dumps(record))
     submit([folder], tmp_path / "out", ["A. Name"], track="adaptation")
     commands = read_submission(tmp_path / "out").commands
-    assert commands[1:] == [f"python -m agents.adapt runs/dadt-Hopper-seed0 --steps {AdaptationSettings().steps}"]
+    assert commands[1:] == ["python -m agents.adapt runs/dadt-Hopper-seed0 --steps 2000"]
 
 
 def test_the_commit_is_that_which_has_made_the_result(tmp_path, tiny_data):
@@ -181,7 +184,7 @@ def test_a_part_of_the_data_and_an_early_stop_are_told(tmp_path):
     )
     said += " held out, stopped early after 2 evaluations without a better return in those."
     assert said in found.description
-    assert "--quality 0.3 --hold-out 1 --patience 2 --evaluate-every 1 " in found.commands[0]
+    assert "--quality 0.3 --hold-out 1 --patience 2 --threads 1 --evaluate-every 1 " in found.commands[0]
     assert " --steps 9" in found.commands[0]
 
 

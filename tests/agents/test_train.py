@@ -151,6 +151,7 @@ def contents(folder):
 
 
 def test_a_command_that_finds_the_run_complete_leaves_it_as_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.train.git_commit", lambda: "a" * 40)
     folder = train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset(), command="first")
     before = contents(folder)
     monkeypatch.setattr("agents.train.git_commit", lambda: "b" * 40)
@@ -162,6 +163,38 @@ def test_a_command_that_finds_the_run_complete_leaves_it_as_it_is(tmp_path, monk
     train("dt", tiny_config("dt", steps=3), settings(tmp_path), random_dataset(), command="more")
     config = json.loads((folder / "config.json").read_text())
     assert (config["commit"], config["command"], config["config"]["steps"]) == ("b" * 40, "more", 3)
+
+
+@pytest.mark.parametrize("first", ["a" * 40 + "-dirty", None])
+def test_steps_of_code_that_nobody_has_are_not_told_to_be_of_a_later_commit(tmp_path, monkeypatch, first):
+    for steps, commit in ((2, first), (4, "b" * 40)):
+        monkeypatch.setattr("agents.train.git_commit", lambda commit=commit: commit)
+        folder = train("dt", tiny_config("dt", steps=steps), settings(tmp_path), random_dataset())
+    assert json.loads((folder / "config.json").read_text())["commit"] == first
+
+
+def test_a_run_tells_how_many_threads_it_had(tmp_path):
+    folder = train("dt", tiny_config("dt", steps=2), settings(tmp_path, threads=0), random_dataset())
+    assert json.loads((folder / "config.json").read_text())["settings"]["threads"] == torch.get_num_threads() == 1
+
+
+@pytest.mark.parametrize(("options", "difference"), [({"seed": 7}, "seed is 0 there and 7"), ({}, "learning_rate is")])
+def test_a_checkpoint_of_another_run_is_not_gone_on_with(tmp_path, options, difference):
+    folder = train("dt", tiny_config("dt", steps=2), settings(tmp_path, name="run"), random_dataset())
+    (folder / "config.json").unlink()
+    config = tiny_config("dt", steps=4) if options else tiny_config("dt", steps=4, learning_rate=0.5)
+    with pytest.raises(ValueError, match=rf"last\.safetensors is of another run, {difference}"):
+        train("dt", config, settings(tmp_path, name="run", **options), random_dataset())
+
+
+def test_a_run_older_than_a_field_of_its_agent_goes_on_with_the_default(tmp_path):
+    folder = train("dadt", tiny_config("dadt", steps=2), settings(tmp_path), random_dataset())
+    about = json.loads((folder / "config.json").read_text())
+    del about["config"]["next_state_weight"]
+    (folder / "config.json").write_text(json.dumps(about))
+    train("dadt", tiny_config("dadt", steps=3), settings(tmp_path), random_dataset())
+    config, record = read_finished(folder, ["dadt"])
+    assert (config["config"]["next_state_weight"], record["gradient_steps"]) == (0.05, 3)
 
 
 def test_a_run_stopped_on_the_way_is_finished_where_it_stands_if_that_is_asked_for(tmp_path, monkeypatch):

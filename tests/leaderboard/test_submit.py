@@ -109,6 +109,16 @@ def test_a_run_of_untold_code_is_not_said_to_be_of_anothers(tmp_path, board, ent
     assert ("; not given of 1 runs" in (board / SITE).read_text(encoding="utf-8")) == (entrys != laters)
 
 
+def test_other_seeds_and_threads_are_the_same_training(tmp_path, board):
+    train, adapt = "train --robot Hopper{} --steps 5", "adapt runs/dadt-Hopper-seed{}"
+    first = [train.format(""), adapt.format(0)]  # seed 0 is the default, and is not told
+    traced(tmp_path / "first", seeds=(0,), commands=first)
+    submit(tmp_path / "first", board)
+    later = [train.format(" --seed 12 --threads 1"), adapt.format("12 --threads 1")]
+    traced(tmp_path / "later", seeds=(12,), commands=later)
+    assert submit(tmp_path / "later", board, join=True).submission.commands == first + later
+
+
 def test_a_folder_that_had_other_runs_before_joins_what_it_has_now(tmp_path, board):
     traced(tmp_path / "first", seeds=(0,))
     slug = submit(tmp_path / "first", board).slug
@@ -137,7 +147,7 @@ def test_runs_with_traces_join_an_entry_of_the_first_format(tmp_path, board):
         (
             (2,),
             {"commands": ["train --robot Hopper --seed 2 --context 5"]},
-            r"differ in more than the seed, 'train --robot Hopper --seed  --context 5' is not on both sides",
+            r"differ in more than the seed, 'train --robot Hopper --context 5' is not on both sides",
         ),
         ((2,), {"commands": [f"command {number}" for number in range(200)]}, "with the entry's runs, commands: "),
         ((1,), {}, r"runs\.0: the entry has a run of Hopper with seed 1: leave it out, or replace the entry"),
