@@ -8,12 +8,17 @@ os.environ["MKL_NUM_THREADS"] = "1"
 
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from dynagen_bench import ids
 from dynagen_bench.datasets.commands import build
 from dynagen_bench.pictures.backend import choose_backend
 from tests.tiny_data import EPISODES_PER_SNAPSHOT, store_random_policies
+
+if "CI" not in os.environ:  # there hypothesis has a profile of its own, without a deadline too
+    hypothesis.settings.register_profile("here", deadline=None)  # a busy machine is no mistake
+    hypothesis.settings.load_profile("here")
 
 
 @pytest.fixture(autouse=True)

@@ -60,23 +60,41 @@ def test_transformer_bc_knows_no_return():
     assert not torch.equal(*(new_agent("dt").loss(w, None)[0] for w in (windows, other)))
 
 
-def test_an_update_is_adamw_with_the_configs_values(name):
-    class EightWindows:
-        def sample(self, batch_size, rng):
-            return random_windows()
+class TheSameWindows:
+    """A sampler that draws nothing."""
 
-    config = tiny_config(name, dropout=0.0, weight_decay=0.1, gradient_clip=1e-3, warmup_steps=0)
+    def sample(self, batch_size, rng):
+        return random_windows()
+
+
+@pytest.mark.parametrize(("warmup", "rate"), [(0, 1e-3), (4, 0.25e-3)])
+def test_an_update_is_adamw_with_the_configs_values(name, warmup, rate):
+    config = tiny_config(name, dropout=0.0, weight_decay=0.1, gradient_clip=1e-3, warmup_steps=warmup)
     learner = Learner(name, config, hopper_spec(), seed=0)
     before = {key: value.detach().clone() for key, value in learner.agent.named_parameters()}
     loss, _ = learner.agent.loss(random_windows(), None)
     loss.backward()
     gradients = {key: x.grad.clone() for key, x in learner.agent.named_parameters() if x.grad is not None}
     norm = float(np.sqrt(sum(float(gradient.square().sum()) for gradient in gradients.values())))
-    assert learner.update(EightWindows())["gradient_norm"] == pytest.approx(norm, rel=1e-5)
+    assert learner.update(TheSameWindows())["gradient_norm"] == pytest.approx(norm, rel=1e-5)
     for key, value in learner.agent.named_parameters():
         if key not in gradients:  # of another phase: not even its weights decay
             assert torch.equal(value, before[key])
             continue
         gradient = gradients[key] * 1e-3 / norm  # clipped: the first step of Adam is sign-like, up to its epsilon
-        expected = before[key] * (1 - 1e-3 * 0.1) - 1e-3 * gradient / (gradient.abs() + 1e-8)
+        expected = before[key] * (1 - rate * 0.1) - rate * gradient / (gradient.abs() + 1e-8)
         torch.testing.assert_close(value.detach(), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_every_update_has_the_learning_rate_of_its_step():
+    config = tiny_config("dt", steps=8, warmup_steps=2, decay_steps=4, learning_rate=1e-3)
+    learner, rates = Learner("dt", config, hopper_spec(), seed=0), []
+    for _ in range(8):
+        learner.update(TheSameWindows())
+        rates += [group["lr"] for group in learner.optimizer.param_groups]
+    assert rates == pytest.approx([0.5e-3, 1e-3, 1e-3, 1e-3, 1e-3, 0.75e-3, 0.5e-3, 0.25e-3])
+
+
+def test_every_update_has_dropout_of_its_own(name):
+    learner = Learner(name, tiny_config(name, learning_rate=0.0, dropout=0.5), hopper_spec(), seed=0)
+    assert len({learner.update(TheSameWindows())["loss"] for _ in range(3)}) == 3  # nothing else differs

@@ -246,3 +246,21 @@ def test_it_tells_dynamics_apart_that_look_alike_and_acts_for_each():
 def test_bad_configs_are_one_line(changes, words):
     with pytest.raises(ValueError, match=words):
         FOCALConfig(**changes)
+
+
+def test_actor_and_value_by_hand():
+    """The actor draws around 0 with deviation 1; Q₁ is 5 and Q₂ 2, and c is 1 everywhere."""
+    agent, batch = agent_and_batch(alpha=3.0, actor_penalty=0.0)
+    with torch.no_grad():
+        for parameter in agent.actor.parameters():
+            parameter.zero_()
+    agent.q = Known(lambda x: torch.tensor([5.0, 2.0])[:, None, None].expand(2, len(x), 1))
+    agent.v = Known(lambda x: torch.zeros(1, len(x), 1))
+    agent.c = Known(lambda x: (1.0 + 0.0 * x[:, S : S + 1])[None])
+    _, parts = agent.loss(batch, None)
+    log_probability = -A / 2 * np.log(2 * np.pi)
+    softplus = np.log1p(np.e)
+    divergence = 1 + np.log(softplus) - softplus
+    assert parts["divergence"].item() == pytest.approx(divergence, rel=1e-5)
+    assert parts["actor_loss"].item() == pytest.approx(log_probability - 2.0 + 3.0 * divergence, rel=1e-5)
+    assert parts["v_loss"].item() == pytest.approx((2.0 - log_probability) ** 2, rel=1e-5)

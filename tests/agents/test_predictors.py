@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -12,6 +13,7 @@ from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.interface import Agent, Predictor, RobotSpec
 from agents.learner import Learner
 from agents.lstm import moved
+from dynagen_bench import ids
 from dynagen_bench.datasets import Normalization, WindowSampler
 from tests.agents.samples import A, K, S, flat_dataset, hopper_spec, random_dataset, random_windows
 
@@ -316,3 +318,30 @@ def test_a_context_is_of_the_last_pairs_before_its_step():
         for place, before in enumerate((step - 2, step - 1)):
             expected = np.concatenate([s[before + 1] - s[before], a[before]])
             np.testing.assert_array_equal(pairs[0, step, :, place], expected)
+
+
+def test_cadm_learns_both_ways_by_hand():
+    predictor, windows = new_predictor("cadm", members=2, backward_weight=0.25), random_windows()
+    with torch.no_grad():
+        for nets, change in ((predictor.forward_nets, 0.5), (predictor.backward_nets, 2.0)):
+            for parameter in nets.parameters():
+                parameter.zero_()
+            nets.biases[-1].fill_(change)
+    seen = []
+    hook = predictor.backward_nets.register_forward_pre_hook(lambda module, inputs: seen.append(inputs[0]))
+    loss, parts = predictor.loss(windows, None)
+    hook.remove()
+    change = (windows.next_observations - windows.observations)[windows.mask]
+    forward, backward = np.square(0.5 - change).mean(), np.square(2.0 + change).mean()
+    assert parts["next_state_loss"].item() == pytest.approx(forward, rel=1e-5)
+    assert parts["backward_loss"].item() == pytest.approx(backward, rel=1e-5)
+    assert loss.item() == pytest.approx(forward + 0.25 * backward, rel=1e-5)
+    np.testing.assert_array_equal(seen[0][0, :, :S].detach(), windows.next_observations.reshape(-1, S))
+
+
+@pytest.mark.parametrize("robot", ids.ROBOTS)
+def test_a_robots_limit_is_that_of_its_environment(robot):
+    spec = RobotSpec.of_robot(robot, Normalization(np.zeros(2, np.float32), np.ones(2, np.float32)))
+    with gymnasium.make(f"{robot}-RandDyn-test0") as env:
+        np.testing.assert_array_equal(spec.action_limit, env.action_space.high)
+    assert set(spec.action_limit.tolist()) == {np.float32(0.4 if robot == "SlimHumanoid" else 1.0).item()}

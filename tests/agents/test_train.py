@@ -256,18 +256,19 @@ def test_low_quality_data_are_the_worst_episodes_of_all(tiny_data, tmp_path):
 
 @pytest.mark.slow
 def test_a_killed_process_continues(tiny_data, tmp_path):
-    arguments = ["dadt", "--robot", "Hopper", "--steps", "200", "--checkpoint-every", "20", "--log-every", "10"]
-    arguments += [*TINY_FLAGS.split(), "--evaluate-every", "0", "--threads", "1", "--runs"]
+    arguments = ["dadt", "--robot", "Hopper", "--checkpoint-every", "20", "--log-every", "10", *TINY_FLAGS.split()]
+    arguments += ["--evaluate-every", "0", "--threads", "1", "--runs"]
     load_dataset("Hopper")  # so that the process need not make the arrays
-    process = subprocess.Popen([sys.executable, "-m", "agents.train", *arguments, str(tmp_path / "killed")])
+    endless = [*arguments, str(tmp_path / "killed"), "--steps", "1000000"]  # it has not ended, however late the kill
+    process = subprocess.Popen([sys.executable, "-m", "agents.train", *endless])
     last, deadline = tmp_path / "killed" / "dadt-Hopper-seed0" / "last.safetensors", time.monotonic() + 120
     while not last.is_file() and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert load_checkpoint(last).step < 200
-    main([*arguments, str(tmp_path / "killed")])
-    main([*arguments, str(tmp_path / "whole")])
+    assert process.wait() == -signal.SIGKILL
+    steps = ["--steps", f"{load_checkpoint(last).step + 30}"]
+    for where in ("killed", "whole"):
+        main([*arguments, str(tmp_path / where), *steps])
     assert same(parameters(last.parent), parameters(tmp_path / "whole" / "dadt-Hopper-seed0"))
 
 

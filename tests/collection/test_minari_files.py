@@ -1,6 +1,7 @@
 """One dynamics' Minari dataset: what it holds, that it can be made again, and what is kept of what is there."""
 
 import contextlib
+import dataclasses
 import functools
 import json
 import os
@@ -134,6 +135,14 @@ def test_the_hash_is_of_order_seeds_and_every_number(build):
         array = getattr(changed[3], field)
         array[-1] = np.nextafter(array[-1], np.inf)
         assert content_hash(changed) != whole
+    for field, value in (
+        ("seed", 1),
+        ("snapshot", 1),
+        ("policy_hash", "0"),
+        ("terminated", not episodes[3].terminated),
+    ):
+        other = [*episodes[:3], dataclasses.replace(episodes[3], **{field: value}), *episodes[4:]]
+        assert content_hash(other) != whole
 
 
 def test_two_builds_have_one_hash_and_the_first_is_kept(build, monkeypatch, tmp_path):

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,10 +14,12 @@ import numpy as np
 import pytest
 
 from dynagen_bench import ids
+from dynagen_bench.collection import runs
 from dynagen_bench.collection.policies import load_policies, policy_file
 from dynagen_bench.collection.runs import collect, missing_runs, run_job
 from dynagen_bench.collection.sac import BatchVecEnv, actor_policy, train_behaviour_policies
 from dynagen_bench.collection.settings import SACSettings
+from tests.jobs.test_local import surely
 
 NAME = ids.make_id("Hopper", "test", 3)
 TINY = SACSettings(
@@ -80,21 +81,85 @@ def test_training_environments_are_the_benchmarks():
     assert infos[1]["episode"]["l"] == 200
 
 
+def test_a_fall_ends_an_episode_and_is_no_time_limit():
+    batch = BatchVecEnv(NAME, 3, np.random.default_rng(5))
+    single = gymnasium.make(NAME.env_id)
+    single.reset(seed=0)
+    batch.reset()
+    single.unwrapped.set_state(batch._physics.qpos[1].copy(), batch._physics.qvel[1].copy())
+    rng, total = np.random.default_rng(6), 0.0
+    for step in range(1, 200):
+        action = rng.uniform(-1, 1, 3).astype(np.float32)
+        batch.step_async(np.stack([action] * 3))
+        observations, _, dones, infos = batch.step_wait()
+        observation, reward, terminated, *_ = single.step(action)
+        total += reward
+        assert bool(dones[1]) == terminated
+        if terminated:
+            break
+        assert batch._steps[1] == step
+    assert terminated
+    np.testing.assert_array_equal(infos[1]["terminal_observation"], observation.astype(np.float32))
+    assert infos[1]["TimeLimit.truncated"] is False
+    assert (infos[1]["episode"]["r"], infos[1]["episode"]["l"]) == (pytest.approx(total), step)
+    assert np.abs(observations[1, 5:]).max() < 0.01  # another start
+    assert (batch._steps[1], batch._returns[1]) == (0, 0.0)
+
+
+def test_every_setting_reaches_the_learner(tmp_path, monkeypatch):
+    from sbx import SAC
+
+    given = SACSettings(
+        total_steps=256, snapshot_every=128, environments=6, gradient_steps=3, batch_size=9, policy_delay=4,
+        learning_rate=7e-4, gamma=0.9, hidden=8, critic_hidden=12, critic_layer_norm=True, learning_starts=33, seed=5,
+    )  # fmt: skip
+    made = []
+
+    def learn(self, total_timesteps, callback, **options):
+        made.append((self, total_timesteps, callback))
+        raise KeyboardInterrupt  # before the first step
+
+    monkeypatch.setattr(SAC, "learn", learn)
+    with pytest.raises(KeyboardInterrupt):
+        train_behaviour_policies(NAME, given, tmp_path)
+    ((model, steps, callback),) = made
+    for field in ("gradient_steps", "batch_size", "policy_delay", "gamma", "learning_starts"):
+        assert getattr(model, field) == getattr(given, field), field
+    assert (model.n_envs, steps, callback._every) == (6, 256, 128)
+    assert model.lr_schedule(1.0) == 7e-4
+    assert model.policy_kwargs["net_arch"] == {"pi": [8, 8], "qf": [12, 12]}
+    assert model.policy_kwargs["layer_norm"]
+    assert not list(tmp_path.iterdir())
+
+
 RUN = """
 import dataclasses
 from pathlib import Path
 from dynagen_bench import ids
-from dynagen_bench.collection.runs import collect
-from tests.collection.test_sac import TINY
+from dynagen_bench.collection import runs
+from tests.collection import test_sac
+if {tell}:
+    job = runs.run_job
+    runs.run_job = lambda *given: dataclasses.replace(job(*given), function="tests.collection.test_sac:run_and_tell")
 names = [ids.make_id("Hopper", "test", i) for i in (3, 1)]
-collect(names, dataclasses.replace(TINY, total_steps={steps}), Path({folder!r}), processes=1)
+runs.collect(names, dataclasses.replace(test_sac.TINY, total_steps={steps}), Path({folder!r}), processes=1)
 """
 
 
+def run_and_tell(scratch, report, **arguments):
+    """`run_one`, and a file as soon as it has taken some steps."""
+
+    def tell(steps):
+        report(steps)
+        (scratch / "steps").touch()
+
+    runs.run_one(scratch, tell, **arguments)
+
+
 @contextlib.contextmanager
-def background_run(tmp_path: Path, steps: int) -> Iterator[subprocess.Popen[bytes]]:
+def background_run(tmp_path: Path, steps: int, tell: bool = False) -> Iterator[subprocess.Popen[bytes]]:
     """`collect` in a process group of its own, killed whole (kill -9) when the block ends."""
-    script = RUN.format(folder=str(tmp_path / "policies"), steps=steps)
+    script = RUN.format(folder=str(tmp_path / "policies"), steps=steps, tell=tell)
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     run = subprocess.Popen([sys.executable, "-c", script], start_new_session=True, env=environment)
     try:
@@ -108,8 +173,9 @@ def background_run(tmp_path: Path, steps: int) -> Iterator[subprocess.Popen[byte
 def test_a_killed_run_leaves_nothing_and_the_next_does_what_is_missing(stored, tmp_path):
     folder = tmp_path / "policies"
     names = [ids.make_id("Hopper", "test", i) for i in (3, 1)]
-    with background_run(tmp_path, steps=10**8):
-        time.sleep(8)  # into the run: JAX is loaded and steps are taken
+    with background_run(tmp_path, steps=10**8, tell=True) as run:
+        surely(lambda: any(folder.glob(".jobs/*/steps")))  # into the run, however slow the machine is
+        assert run.poll() is None
     assert missing_runs(names, folder) == names
     assert not list(folder.rglob("*.safetensors"))
 

@@ -369,17 +369,3 @@ def test_plain_minari_reads_the_episodes(tiny_data):
         assert ended.tolist() == [False] * (len(ended) - 1) + [True]
     sampled = dataset.sample_episodes(3)
     assert {episode.actions.dtype for episode in sampled} == {np.dtype(np.float32)}
-
-
-def test_torchrl_reads_the_steps(tiny_data, tmp_path):
-    datasets = pytest.importorskip("torchrl.data.datasets")
-    name = "dynagen/Hopper-RandDyn/test1-v0"
-    replay = datasets.MinariExperienceReplay(
-        name, batch_size=16, root=tmp_path / "torchrl", load_from_local_minari=True, split_trajs=False
-    )
-    assert len(replay) == minari.load_dataset(name).total_steps
-    batch = replay.sample()
-    flat = load_dataset("Hopper", "test")
-    actions = {tuple(row) for row in flat.actions.tolist()}
-    assert {tuple(row) for row in batch["action"].tolist()} <= actions
-    assert batch["observation"].shape == batch["next", "observation"].shape == (16, 11)

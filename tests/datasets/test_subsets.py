@@ -2,9 +2,6 @@
 
 import dataclasses
 import math
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -178,29 +175,3 @@ def test_episodes_that_share_rows_or_leave_them_are_refused():
             dataclasses.replace(data, **change)
     with pytest.raises(IndexError):
         data.select(np.array([2]))
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells what a process shares")
-def test_processes_share_the_pages_of_the_arrays(tiny_data):
-    load_dataset("Hopper")
-    code = (
-        "import sys, mmap\n"
-        "from dynagen_bench.datasets import load_dataset\n"
-        "data = load_dataset('Hopper', quality=0.5)\n"
-        "print(data.observations.sum(), flush=True)\n"  # every page is read
-        "sys.stdin.readline()\n"
-        "text = open('/proc/self/smaps').read().split('observations.npy')[1]\n"
-        "sizes = dict(line.split(':') for line in text.splitlines()[1:20] if ':' in line)\n"
-        "print(*(sizes[key].split()[0] for key in ('Rss', 'Pss', 'Private_Dirty')))\n"
-    )
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    both = [subprocess.Popen([sys.executable, "-c", code], env=dict(os.environ), **pipes) for _ in range(2)]
-    for process in both:
-        process.stdout.readline()  # both have read everything before either measures
-    both[0].stdin.write("\n")
-    both[0].stdin.flush()
-    rss, pss, dirty = (int(kilobytes) for kilobytes in both[0].stdout.readline().split())
-    for process in both:
-        process.communicate("\n", timeout=60)
-    assert dirty == 0
-    assert 0 < pss <= rss / 2 + 1  # a page that two processes have is half each one's

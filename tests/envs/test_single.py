@@ -45,12 +45,29 @@ def test_nominal_moves_as_gymnasiums_robot_does(robot):
             _, reward, terminated, _, info = ours.step(action)
             _, their_reward, their_end, _, their_info = theirs.step(action)
             np.testing.assert_allclose(state(ours), state(theirs), rtol=1e-6, atol=1e-6)
-            if robot not in ("SlimHumanoid", "Ant"):  # theirs have other rewards, compared below
+            if robot not in ("SlimHumanoid", "Ant"):  # theirs have other rewards; what is healthy is compared below
                 assert reward == pytest.approx(their_reward, abs=1e-6)
                 assert terminated == their_end
             assert set(their_info) <= set(info)
             if terminated:
                 break
+
+
+@pytest.mark.parametrize("robot", [robot for robot in ids.ROBOTS if robot != "HalfCheetah"])  # which is always healthy
+def test_healthy_is_what_gymnasiums_robot_calls_healthy(robot):
+    ours, theirs = make(robot, split="nominal"), gymnasium.make(GYMNASIUM_IDS[robot]).unwrapped
+    rng, sides = np.random.default_rng(0), set()
+    low, high = ours.rules.healthy_z_range
+    for _ in range(2000):
+        qpos, qvel = ours.init_qpos.copy(), ours.init_qvel.copy()
+        qpos[:3] += rng.uniform(-1.5, 1.5, 3)  # height, and pitch of a planar robot, on both sides of their ranges
+        qvel[rng.integers(len(qvel))] = rng.uniform(-200, 200)
+        for env in (ours, theirs):
+            env.set_state(qpos, qvel)
+        assert ours.is_healthy == theirs.is_healthy
+        height = qpos[ours.rules.hidden_positions]
+        sides.add((int(height > high) - int(height < low), ours.is_healthy))
+    assert sides >= {(-1, False), (0, True)} | ({(1, False)} if high < np.inf else set())
 
 
 def test_ants_reward_is_gymnasiums_at_the_new_state():

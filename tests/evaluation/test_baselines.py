@@ -1,10 +1,23 @@
 """Random actions and the data's own returns."""
 
+import gymnasium
 import numpy as np
 import pytest
 
 from dynagen_bench import ids
-from dynagen_bench.evaluation import Policy, RandomPolicy, RewardAware, action_space, baselines, data_returns, evaluate
+from dynagen_bench.collection.episodes import action_noise
+from dynagen_bench.collection.policies import load_policies, policy_file
+from dynagen_bench.evaluation import (
+    EPISODES,
+    Policy,
+    RandomPolicy,
+    RewardAware,
+    action_space,
+    baselines,
+    data_returns,
+    evaluate,
+    reset_seeds,
+)
 from dynagen_bench.evaluation.baselines import baseline_submission
 from dynagen_bench.evaluation.submission import read_submission, read_traces, write_submission
 
@@ -69,6 +82,44 @@ def test_behaviour_policies_are_submitted_as_privileged_references(policy, tiny_
     assert submission.privileged == "test-dynamics"
     assert [run.trace for run in submission.runs] == [one.sha256 for one in traces]
     assert len(submission.runs) == (2 if policy == "behaviour" else 1)  # the best ones act without any noise
+
+
+class Stored:
+    """One stored policy in every row, without noise."""
+
+    def __init__(self, policy) -> None:
+        self.policy = policy
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.policy.act(observation, np.ones(3), None).astype(np.float32), state
+
+
+def test_an_expert_is_the_best_snapshot_of_its_own_dynamics_chosen_by_other_episodes(tiny_policies):
+    (run,) = baseline_submission("expert", ["Hopper"], folder=tiny_policies)[0].runs
+    for index in (1, 4):
+        stored = list(load_policies(policy_file(ids.make_id("Hopper", "test", index), tiny_policies))[0].values())
+        episodes = EPISODES * len(stored)
+        trials = [evaluate(Stored(x), "Hopper", indices=[index], episodes=episodes, seed=1).returns[0] for x in stored]
+        means = [trial[EPISODES * i : EPISODES * (i + 1)].mean() for i, trial in enumerate(trials)]
+        expected = evaluate(Stored(stored[int(np.argmax(means))]), "Hopper", indices=[index])
+        assert run.evaluation.returns[index] == expected.returns[0].tolist()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_behaviour_policies_act_in_their_own_dynamics_with_the_noise_of_the_data(seed, tiny_policies):
+    run = baseline_submission("behaviour", ["Hopper"], runs=2, folder=tiny_policies)[0].runs[seed]
+    for index, episode in ((0, 0), (3, 7), (4, 9)):
+        snapshots = load_policies(policy_file(ids.make_id("Hopper", "test", index), tiny_policies))[0]
+        policy = list(snapshots.values())[(episode * 4 // 10 + seed) % 4]
+        noise = action_noise(int(reset_seeds("Hopper", "test", [index], seed=1 + seed)[0, episode]), 3)
+        env = gymnasium.make(f"Hopper-RandDyn-test{index}")
+        observation, _ = env.reset(seed=run.evaluation.seeds[index][episode])
+        total, step, done = 0.0, 0, False
+        while not done:
+            action = policy.act(observation[None], np.ones(3), noise[step : step + 1])[0].astype(np.float32)
+            observation, reward, terminated, truncated, _ = env.step(action)
+            total, step, done = total + reward, step + 1, terminated or truncated
+        assert run.evaluation.returns[index][episode] == total
 
 
 def test_what_cannot_be_submitted_ends_in_one_line_before_any_evaluation(tiny_policies, monkeypatch):

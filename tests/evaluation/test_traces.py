@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynagen_bench import ids
+from dynagen_bench.envs import BatchPhysics
 from dynagen_bench.evaluation import RandomPolicy, action_space, evaluate
 from dynagen_bench.evaluation.traces import (
+    DIGEST_STEPS,
     INTERVAL,
     MAX_HEADER,
     Traces,
@@ -97,6 +99,24 @@ def test_the_digest_of_physics_is_the_same_again_and_differs_between_robots():
     digests = {robot: physics_digest.__wrapped__(robot) for robot in ids.ROBOTS}
     assert digests == {robot: physics_digest(robot) for robot in ids.ROBOTS}
     assert len(set(digests.values())) == len(ids.ROBOTS)
+
+
+@pytest.mark.parametrize("field", ["states", "rewards"])
+def test_the_digest_tells_arithmetic_apart_that_differs_in_one_last_bit(field, monkeypatch):
+    class Otherwise(BatchPhysics):
+        steps = 0
+
+        def step(self, actions, simulations=None):
+            result = super().step(actions, simulations)
+            self.steps += 1
+            if self.steps == DIGEST_STEPS:  # the last one: nothing can grow from it
+                numbers = getattr(result, field)
+                numbers.flat[-1] = np.nextafter(numbers.flat[-1], np.inf)
+            return result
+
+    here = physics_digest("Hopper")
+    monkeypatch.setattr("dynagen_bench.evaluation.traces.BatchPhysics", Otherwise)
+    assert physics_digest.__wrapped__("Hopper") != here
 
 
 def content(**changes):

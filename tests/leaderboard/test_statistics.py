@@ -109,6 +109,19 @@ def test_intervals_are_those_of_every_resample(measure, statistic):
     assert np.quantile(exact, 0.965) - 1e-9 <= high <= np.quantile(exact, 0.985) + 1e-9
 
 
+def test_the_two_sides_of_a_comparison_are_drawn_apart():
+    first, second = (some(seed, runs=3, robots=("a",)) for seed in (3, 4))
+    ways = [list(runs) for runs in itertools.product(range(3), repeat=3)]
+    one, other = first["a"], second["a"]
+    exact = [(one[x][:, None] > other[y][None]).mean() for x in ways for y in ways]
+    low, high = improvement(first, second).interval
+    assert np.quantile(exact, 0.015) - 1e-9 <= low <= np.quantile(exact, 0.035) + 1e-9
+    assert np.quantile(exact, 0.965) - 1e-9 <= high <= np.quantile(exact, 0.985) + 1e-9
+    # an agent beside itself: drawn together, its runs would always be as good as themselves
+    low, high = improvement(first, first).interval
+    assert low < 0.4 < 0.6 < high
+
+
 def test_two_runs_by_hand():
     # both runs twice, or one of each: a quarter, a quarter, a half; the ends are reached
     assert interquartile_mean({"a": np.array([[40.0], [60.0]])}) == (50.0, (40.0, 60.0))

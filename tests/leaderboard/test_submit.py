@@ -185,6 +185,20 @@ def test_the_episodes_of_another_agent_are_refused(tmp_path, board, capsys):
     assert "of its episodes are those of the entry 'first-" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("own", "copied"), [(24, True), (25, False)])
+def test_a_run_is_anothers_where_more_than_half_of_its_episodes_are(honest, cheat, board, own, copied):
+    submit(honest, board)
+    cheat.content["agent"] = "another"
+    for episode in range(own):
+        cheat.stand_still(episode)
+    cheat.write()
+    if copied:
+        with pytest.raises(ValueError, match=r"with seed 0: 52% of its episodes are those of the entry '"):
+            submit(cheat.folder, board)
+    else:
+        assert submit(cheat.folder, board).label == "replayed"
+
+
 def test_data_of_the_test_dynamics_are_adaptation(tmp_path, board):
     traced(tmp_path / "mine", privileged="offline-context")
     with pytest.raises(ValueError, match=r"track: 'zero-shot' takes no data of the test dynamics.*'adaptation'"):

@@ -202,3 +202,18 @@ def test_a_spread_by_chance_counted_by_hand():
     groups = {"a": {"Hopper": np.array([[1.0], [2.0]])}, "b": {"Hopper": np.array([[3.0], [4.0]])}}
     # of the 6 ways to deal four runs to two groups, 2 are as far apart as these
     assert spread_by_chance(groups) == pytest.approx(1 / 3, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("interval", "verdict"),
+    [((0.5, 1.0), "undecided"), ((0.0, 0.5), "undecided"), ((0.51, 1.0), "holds"), ((0.0, 0.49), "does not hold")],
+)
+def test_an_interval_that_reaches_one_half_decides_nothing(interval, verdict):
+    estimate = Estimate(sum(interval) / 2, interval)
+    assert Evidence("DADT > DT", estimate, ("Hopper",), (3, 3), (estimate,)).verdict == verdict
+
+
+def test_who_does_the_same_in_every_run_is_not_better():
+    same = [entry(f"{name}-zero-shot-last", [80.0, 90.0, 100.0]) for name in ("dadt", "dt")]
+    equal = [entry(f"{name}-zero-shot-last", [80.0] * 3) for name in ("dadt", "dt")]
+    assert verdicts(same)[BETTER].verdict == verdicts(equal)[BETTER].verdict == "undecided"
