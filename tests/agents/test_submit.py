@@ -49,7 +49,9 @@ def test_runs_become_a_submission_that_the_leaderboard_reads(tmp_path):
 
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(SystemExit, match=r"^error: .*Not a directory") as stop:
+    with pytest.raises(
+        SystemExit, match=r"^error: .* is no folder that you may write to, give a path elsewhere$"
+    ) as stop:
         main([str(run(tmp_path)), "--output", str(tmp_path / "file" / "out"), "--authors", "A. Name"])
     assert "\n" not in str(stop.value)
 
