@@ -15,9 +15,9 @@ from leaderboard.entries import Entry
 from leaderboard.site.builder import ALL, site_page
 from leaderboard.site.charts import Mark, Scale, curve, heat_level, scale_of
 from leaderboard.statistics import THRESHOLDS, Estimate, profile
+from tests import browser
 from tests.evaluation.samples import submission, write_references
 from tests.leaderboard.test_markdown import printable_lines
-from tests.pictures.test_gallery import CHROMIUM, CHROMIUM_ARGUMENTS
 
 HOSTILE = (
     "<script>alert(1)</script>",
@@ -181,25 +181,10 @@ def test_profiles_are_drawn_from_the_left_top_down():
 @pytest.fixture
 def tab(entries, tmp_path):
     """The page in Chromium on a phone in the dark; afterwards nothing was said and nothing asked for."""
-    if not CHROMIUM.exists():
-        pytest.skip(f"no Chromium at {CHROMIUM}")
-    playwright = pytest.importorskip("playwright.sync_api")
     file = tmp_path / "index.html"
     file.write_text(site_page(entries), encoding="utf-8")
-    said, requests = [], []
-    with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=str(CHROMIUM), args=list(CHROMIUM_ARGUMENTS))
-        made = browser.new_context(viewport={"width": 390, "height": 844}, color_scheme="dark").new_page()
-        made.set_default_timeout(5000)
-        made.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
-        made.on("pageerror", lambda error: said.append(str(error)))
-        made.on("dialog", lambda dialog: said.append(dialog.message))
-        made.on("request", lambda request: requests.append(request.url))
-        made.goto(file.as_uri())
+    with browser.opened(file) as made:
         yield made
-        browser.close()
-    assert said == []
-    assert [url for url in requests if not url.startswith("data:")] == [file.as_uri()]
 
 
 def slugs(tab, section="zero-shot-last"):

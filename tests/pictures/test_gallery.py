@@ -8,17 +8,8 @@ import pytest
 from dynagen_bench import ids
 from dynagen_bench.dynamics import load_dynamics
 from dynagen_bench.pictures import write_gallery
+from tests.browser import opened
 
-CHROMIUM = Path("/usr/bin/chromium")
-CHROMIUM_ARGUMENTS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
 ROBOTS = ("Hopper", "Ant")
 LABELS = ("nominal", "test0", "test3")
 
@@ -74,18 +65,7 @@ def test_it_refers_to_nothing_else(page):
 
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_a_browser_shows_it_without_complaint(page, width, scheme):
-    if not CHROMIUM.exists():
-        pytest.skip(f"no Chromium at {CHROMIUM}")
-    playwright = pytest.importorskip("playwright.sync_api")
-    said: list[str] = []
-    with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=str(CHROMIUM), args=list(CHROMIUM_ARGUMENTS))
-        tab = browser.new_context(viewport={"width": width, "height": 844}, color_scheme=scheme).new_page()
-        tab.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
-        tab.on("pageerror", lambda error: said.append(str(error)))
-        requests: list[str] = []
-        tab.on("request", lambda request: requests.append(request.url))
-        tab.goto(page.as_uri())
+    with opened(page, width, scheme) as tab:
         tab.evaluate("for (const image of document.images) image.loading = 'eager'")
         tab.wait_for_function("[...document.images].every(image => image.complete && image.naturalWidth)")
         assert tab.evaluate("document.documentElement.scrollWidth") <= tab.evaluate("innerWidth") == width
@@ -95,9 +75,6 @@ def test_a_browser_shows_it_without_complaint(page, width, scheme):
         tab.keyboard.press("ArrowDown")
         below = tab.locator("#Hopper .readout").inner_text()
         assert below.startswith("train1, body_mass of leg: ×")
-        browser.close()
-    assert said == []
-    assert [url for url in requests if not url.startswith("data:")] == [page.as_uri()]
 
 
 @pytest.mark.parametrize(
