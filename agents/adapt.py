@@ -67,10 +67,11 @@ def adapt(folder: Path, settings: AdaptationSettings) -> Path:
         files = [parts / f"{name.label}.json" for name in names]
         _adapt_each(run, settings, dict(zip(files, names, strict=True)), {**facts, "physics": physics_digest(robot)})
         made = [read_json(file) for file in files]
+        threads = {part.get("threads", 0) for part in made}
         how = {
             "hours": run.record["hours"] + sum(part["hours"] for part in made),
             "commit": commit_of_all([part.get("commit") for part in made]),
-            "threads": min({part.get("threads", 0) for part in made}),
+            "threads": threads.pop() if len(threads) == 1 else 0,
         }
         _write_result(result, {**facts, **how}, join([read_result(file) for file in files]))
         shutil.rmtree(parts)
