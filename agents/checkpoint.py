@@ -26,7 +26,6 @@ from torch import Tensor
 from agents import TRAINABLE
 from agents.config import TrainingConfig
 from agents.interface import RobotSpec, Trainable
-from agents.run_folder import identity
 from dynagen_bench.datasets.normalization import Normalization
 from dynagen_bench.whole import whole_file
 
@@ -76,12 +75,6 @@ class Checkpoint:
                 f"the parameters are not those that this code's {self.agent!r} has ({reason}): use the code that wrote "
                 "them"
             ) from error
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """What tells runs apart, as far as it is told here."""
-        config = dataclasses.asdict(self.config)
-        return identity({"agent": self.agent, "config": config, "settings": {"seed": self.seed}})
 
 
 def package_versions() -> dict[str, str]:

@@ -18,7 +18,7 @@ import tyro
 
 from agents import AGENTS
 from agents.fine_tuning import PAPER, AdaptationSettings
-from agents.run_folder import DATA, RunSettings, is_committed, read_curve, read_finished, read_json
+from agents.run_folder import DATA, RunSettings, commit_of_all, is_committed, read_curve, read_finished, read_json
 from dynagen_bench import ids
 from dynagen_bench.evaluation.result import EpisodeRecord, first_error
 from dynagen_bench.evaluation.submission import MAX_POINTS, CurvePoint, Run, Submission, write_submission
@@ -137,8 +137,8 @@ def _commit(run: FinishedRun) -> str | None:
     A run may be older than what has adapted it, and the later commit has both.
     """
     trained = run.config["commit"]
-    made = [trained, run.record.get("commit", trained)]
-    return str(made[-1]) if all(map(is_committed, made)) else None
+    commit = commit_of_all([trained, run.record.get("commit", trained)])
+    return commit if is_committed(commit) else None
 
 
 def _run(run: FinishedRun, commit: str | None) -> Run:
@@ -202,9 +202,9 @@ def _commands(run: FinishedRun, checkpoint: str) -> list[str]:
         named = ("seed", "every", "quality", "hold_out")
         folder = dataclasses.replace(defaults, **{key: settings[key] for key in named}).folder(agent)
         # the paper has no number of steps: ours may be another in the commit that has adapted the run
-        usual = dataclasses.asdict(AdaptationSettings()) | PAPER | {"steps": None}
+        usual = dataclasses.asdict(AdaptationSettings()) | PAPER | {"threads": 0}
         threads = {"threads": run.record.get("threads", 0)}  # 0: it was made at several numbers, or before it was told
-        options = _options(_changed(run.record["adaptation"] | threads, usual | {"threads": 0}))
+        options = _options(_changed(run.record["adaptation"] | threads, usual))
         commands.append(" ".join([f"python -m agents.adapt {folder.as_posix()}", *options]))
     return commands
 

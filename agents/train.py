@@ -22,7 +22,7 @@ import torch
 import tyro
 
 from agents import TRAINABLE
-from agents.checkpoint import load_checkpoint, package_versions, save_checkpoint
+from agents.checkpoint import Checkpoint, load_checkpoint, package_versions, save_checkpoint
 from agents.config import TrainingConfig
 from agents.interface import Fitted, RobotSpec, Sampler
 from agents.learner import Learner
@@ -38,6 +38,7 @@ from agents.run_folder import (
     commit_of_all,
     ends_run,
     git_commit,
+    identity,
     read_curve,
     read_json,
     same_length,
@@ -93,7 +94,7 @@ def train(
         last = folder / "last.safetensors"
         if last.is_file():
             checkpoint = load_checkpoint(last, agent=name, robot=settings.robot)
-            check_same_run(last, checkpoint.identity, learner.checkpoint().identity, instead="--name")
+            check_same_run(last, _identity(checkpoint), _identity(learner.checkpoint()), instead="--name")
             learner.restore(checkpoint)
         if before is not None and learner.step > 0:  # the steps that are there were made by its commit
             description["commit"] = commit_of_all([before.get("commit"), description["commit"]])
@@ -120,6 +121,12 @@ def train(
         finally:
             curves.close()
     return folder
+
+
+def _identity(checkpoint: Checkpoint) -> dict[str, Any]:
+    """What tells runs apart, as far as a checkpoint tells it."""
+    config = dataclasses.asdict(checkpoint.config)
+    return identity({"agent": checkpoint.agent, "config": config, "settings": {"seed": checkpoint.seed}})
 
 
 def _is_complete(folder: Path, result: Path, description: Mapping[str, Any] | None, step: int) -> bool:
