@@ -161,7 +161,7 @@ def choose_steps(folder: Path, settings: AdaptationSettings, points: Sequence[in
         total = max(points) * len(held_out_names(run))
         bar = bars.add_task(f"{folder.name}, curve", total=total, note="")
         returns = measure_curve(run, settings, points, lambda: bars.advance(bar))
-        write_curve(path, points, returns)
+        write_curve(path, "steps", points, returns)
     table = rich.table.Table("steps", "mean return", *returns)
     for steps, *values in zip(points, *returns.values(), strict=True):
         table.add_row(str(steps), *(f"{value:.1f}" for value in (np.mean(values), *values)))

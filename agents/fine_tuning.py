@@ -183,7 +183,7 @@ def held_out_names(run: TrainedRun) -> list[ids.DynamicsId]:
     count = run.config["settings"]["hold_out"]
     if count == 0:
         raise ValueError(
-            f"{run.folder} held out no train dynamics: train one with --hold-out, steps are not chosen by test dynamics"
+            f"{run.folder} held out no train dynamics: train one with --hold-out, nothing is chosen by test dynamics"
         )
     return ids.choose_ids(run.checkpoint.spec.robot, "train", held_out_indices(count))
 
@@ -202,10 +202,10 @@ def measure_curve(
     return found
 
 
-def write_curve(path: Path, points: Sequence[int], returns: dict[str, list[float]]) -> None:
-    """Write a line a point: its steps, the mean over the dynamics, and each dynamics' own mean return."""
+def write_curve(path: Path, of: str, points: Sequence[float], returns: Mapping[str, Sequence[float]]) -> None:
+    """Write a line a point: what it is at, in the column `of`, the mean over the dynamics, and each one's own mean."""
     with whole_file(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["steps", "mean_return", *returns])
-        for steps, *values in zip(points, *returns.values(), strict=True):
-            writer.writerow([steps, *(f"{value:.7g}" for value in (float(np.mean(values)), *values))])
+        writer.writerow([of, "mean_return", *returns])
+        for point, *values in zip(points, *returns.values(), strict=True):
+            writer.writerow([point, *(f"{value:.7g}" for value in (float(np.mean(values)), *values))])

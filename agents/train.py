@@ -31,6 +31,7 @@ from agents.recording import Record, progress_bar, recorder, score_if_known
 from agents.run_folder import (
     ADAPTATION_CURVE,
     LEARNED,
+    TARGET_CURVE,
     Curves,
     RunSettings,
     check_same_run,
@@ -111,7 +112,7 @@ def train(
             learner.agent.fit(sampler)
         validation = None if held is None else Validation(held, settings.hold_out, config, learner.spec)
         if not done:
-            for stale in ("evaluation.json", PREDICTION, LEARNED, ADAPTATION_CURVE):
+            for stale in ("evaluation.json", PREDICTION, LEARNED, ADAPTATION_CURVE, TARGET_CURVE):
                 (folder / stale).unlink(missing_ok=True)  # of a checkpoint that is not the last one any more
         if not done or before is None or not same_length(before, description):
             write_json(folder / "config.json", description)

@@ -9,6 +9,7 @@ benchmark. Called by the command line and the page. It must not know how anythin
       prediction.json        next-state errors in the test dynamics, of what predicts
       evaluation-train.json  returns in train dynamics, beside the untrained agent's
       adaptation-curve.csv   returns by steps of fine-tuning, of runs that held out train dynamics
+      target-curve.csv       returns by what was asked for, of such runs
     results/compute.json     group of tests/benchmarks/test_compute.py → name → seconds
 """
 
@@ -25,7 +26,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.prediction import PREDICTION
-from agents.run_folder import ADAPTATION_CURVE, LEARNED, is_committed, read_config, read_curve, read_json, write_json
+from agents.run_folder import (
+    ADAPTATION_CURVE,
+    LEARNED,
+    TARGET_CURVE,
+    is_committed,
+    read_config,
+    read_curve,
+    read_json,
+    write_json,
+)
 from agents.summary.runs import Run, read_runs
 from dynagen_bench.whole import whole_file
 
@@ -34,7 +44,7 @@ FOLDER: Final = Path(__file__).parent
 REFERENCE: Final = "reference"
 """The group of runs behind the board's entries and the table of errors; others are named by what they vary."""
 
-_COPIED: Final = ("curves.csv", PREDICTION, ADAPTATION_CURVE, LEARNED)
+_COPIED: Final = ("curves.csv", PREDICTION, ADAPTATION_CURVE, TARGET_CURVE, LEARNED)
 
 _OF_A_MACHINE: Final = ("runs", "name", "threads")
 """Settings that say where a run was made, and nothing about it but for its last bits."""
@@ -207,12 +217,19 @@ def kept_learning(group: str = REFERENCE, folder: Path = FOLDER) -> list[dict[st
     return [read_json(path) for path in sorted((folder / "runs" / group).glob(f"*/{LEARNED}"))]
 
 
-def adaptation_curves(group: str, folder: Path = FOLDER) -> dict[str, dict[int, float]]:
-    """Name of a run → steps of fine-tuning → mean return in the train dynamics that it held out."""
+def held_out_curves(group: str, name: str, folder: Path = FOLDER) -> dict[str, dict[int, float]]:
+    """Name of a run → steps of fine-tuning, or what was asked for → mean return in the train dynamics it held out.
+
+    Args:
+        group: of runs.
+        name: of the curve, `ADAPTATION_CURVE` or `TARGET_CURVE`.
+        folder: with the group's runs.
+    """
     found = {}
-    for path in sorted((folder / "runs" / group).glob(f"*/{ADAPTATION_CURVE}")):
+    for path in sorted((folder / "runs" / group).glob(f"*/{name}")):
         with path.open(newline="", encoding="utf-8") as file:
-            found[path.parent.name] = {int(row["steps"]): float(row["mean_return"]) for row in csv.DictReader(file)}
+            _, *lines = csv.reader(file)
+        found[path.parent.name] = {round(float(at)): float(mean) for at, mean, *_ in lines}
     return found
 
 

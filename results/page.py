@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from agents.dt import DTConfig
+from agents.run_folder import ADAPTATION_CURVE, TARGET_CURVE
 from agents.summary.runs import Run, grouped
 from dynagen_bench import ids
 from dynagen_bench.datasets.scores import reference_scores
@@ -21,9 +22,9 @@ from results.kept import (
     FOLDER,
     REFERENCE,
     Errors,
-    adaptation_curves,
     check_seeds,
     compute_times,
+    held_out_curves,
     kept_errors,
     kept_learning,
     kept_runs,
@@ -37,8 +38,12 @@ DRAWINGS: Final = "results"
 CHOSEN: Final = {
     "learning-rate": "The learning rate of the transformers and its schedule",
     "adaptation": "The runs whose adaptation is measured below",
+    "target-return": "The runs that are asked for several returns below",
 }
 """Group of kept runs that hold out train dynamics → what was chosen by them."""
+
+CURVES: Final = {ADAPTATION_CURVE: "steps of fine-tuning on ten episodes", TARGET_CURVE: "the return asked for"}
+"""Curve in held-out train dynamics → what its points are at."""
 
 VARIED: Final = {"low-quality": "agent", "next-state-weight": "next_state_weight"}
 """Group of kept runs, of the paper's Figure 5 and Table 4 → what differs in it."""
@@ -242,9 +247,9 @@ def _choices(folder: Path) -> list[str]:
             parts += [tables.by_steps(tables.mean_curves(runs, "validation_return"))]
             parts += ["Loss by gradient steps, mean over seeds:\n"]
             parts += [tables.by_steps(tables.mean_curves(runs, "validation_loss"), ".4f")]
-        curves = adaptation_curves(group, folder)
-        if curves:
-            parts += ["Mean return by steps of fine-tuning on ten episodes:\n", tables.by_steps(curves)]
+        for name, of in CURVES.items():
+            if curves := held_out_curves(group, name, folder):
+                parts += [f"Mean return by {of}:\n", tables.by_steps(curves, of=of)]
     return [CHOICES, *parts] if parts else []
 
 

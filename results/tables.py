@@ -194,14 +194,14 @@ def mean_curves(runs: Sequence[Run], name: str) -> dict[str, dict[int, float]]:
     return found
 
 
-def by_steps(curves: Mapping[str, Mapping[int, float]], form: str = ".1f") -> str:
-    """Curves, a line each, a column for each number of steps that one of them has."""
+def by_steps(curves: Mapping[str, Mapping[int, float]], form: str = ".1f", of: str = "steps") -> str:
+    """Curves, a line each, a column for each number `of` steps, or of something else, that one of them has."""
     steps = sorted({step for curve in curves.values() for step in curve})
     lines = [
         [escape(name), *(f"{curve[step]:{form}}" if step in curve else "–" for step in steps)]
         for name, curve in curves.items()
     ]
-    return table(["steps", *(f"{step:,}" for step in steps)], lines)
+    return table([of, *(f"{step:,}" for step in steps)], lines)
 
 
 def compute(times: Mapping[str, float], published: str) -> str:

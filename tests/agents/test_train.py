@@ -15,7 +15,7 @@ import torch
 
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.learner import Learner
-from agents.run_folder import ADAPTATION_CURVE, LEARNED, RunSettings, claimed, read_finished, write_json
+from agents.run_folder import ADAPTATION_CURVE, LEARNED, TARGET_CURVE, RunSettings, claimed, read_finished, write_json
 from agents.train import main, train
 from dynagen_bench.datasets import WindowSampler, load_dataset
 from dynagen_bench.evaluation import Evaluation, evaluate, reset_seeds
@@ -103,12 +103,12 @@ def test_more_steps_continue_a_finished_run_and_fewer_are_refused(tmp_path):
 
 def test_what_was_measured_at_an_earlier_step_goes_when_the_run_goes_on(tmp_path):
     folder = train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset())
-    for name in (LEARNED, ADAPTATION_CURVE):
+    for name in (LEARNED, ADAPTATION_CURVE, TARGET_CURVE):
         (folder / name).write_text("of step 2")
     train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset())  # complete: it stays as it is
     assert (folder / LEARNED).is_file()
     train("dt", tiny_config("dt", steps=4), settings(tmp_path), random_dataset())
-    assert not [name for name in (LEARNED, ADAPTATION_CURVE) if (folder / name).exists()]
+    assert not [name for name in (LEARNED, ADAPTATION_CURVE, TARGET_CURVE) if (folder / name).exists()]
 
 
 def test_a_kill_between_result_and_curves_loses_no_point(tmp_path):

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from results.kept import adaptation_curves, compute_times, keep, keep_compute, kept_errors, kept_runs
+from agents.run_folder import ADAPTATION_CURVE, TARGET_CURVE
+from results.kept import compute_times, held_out_curves, keep, keep_compute, kept_errors, kept_runs
 
 
 def test_a_kept_run_has_its_curves_and_no_weights_nor_paths(trained, tmp_path):
@@ -107,11 +108,12 @@ def test_mistakes_end_in_one_line_and_keep_nothing(trained, tmp_path):
     assert not (tmp_path / "kept").exists()
 
 
-def test_adaptation_curves_by_run(trained, tmp_path):
+@pytest.mark.parametrize(("curve", "of", "at"), [(ADAPTATION_CURVE, "steps", "0"), (TARGET_CURVE, "asked", "0.0")])
+def test_curves_in_held_out_dynamics_by_run(curve, of, at, trained, tmp_path):
     run = trained("dadt", settings={"hold_out": 4})
-    (run / "adaptation-curve.csv").write_text("steps,mean_return,train16,train17\n0,300.5,300,301\n100,310,300,320\n")
-    keep([run], "adaptation", tmp_path / "kept")
-    assert adaptation_curves("adaptation", tmp_path / "kept") == {run.name: {0: 300.5, 100: 310.0}}
+    (run / curve).write_text(f"{of},mean_return,train16,train17\n{at},300.5,300,301\n100,310,300,320\n")
+    keep([run], "chosen", tmp_path / "kept")
+    assert held_out_curves("chosen", curve, tmp_path / "kept") == {run.name: {0: 300.5, 100: 310.0}}
 
 
 def test_times_of_the_compute_benchmark(tmp_path):

@@ -1,0 +1,109 @@
+"""Which return to ask for: `python -m agents.targets runs/dadt-HalfCheetah-seed0-holdout4`.
+
+What is here: what a finished run returns when it is asked for one return and another, in the train dynamics that it
+held out. The run is trained once: what is asked for is no part of learning. Called from the command line. It must not
+know any agent by name, nor touch the test dynamics: a target is chosen without them.
+"""
+
+import dataclasses
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import fmean
+from typing import Annotated, Final
+
+import rich
+import rich.table
+import tyro
+
+from agents.fine_tuning import TrainedRun, held_out_names, write_curve
+from agents.interface import Agent
+from agents.recording import progress_bar
+from agents.run_folder import TARGET_CURVE, locked
+from agents.threads import use_threads
+from dynagen_bench.datasets.scores import reference_scores
+from dynagen_bench.evaluation import evaluate
+
+SHARES: Final = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+"""Of the highest return of an episode in the train data: what is asked for where no targets are given."""
+
+
+def measure_targets(folder: Path, targets: Sequence[float] = ()) -> dict[float, dict[str, float]]:
+    """Measure a run at each target, write `target-curve.csv` in its folder, and return what is in it.
+
+    Args:
+        folder: of a finished run of an agent that is asked for a return.
+        targets: returns to ask for; none takes `SHARES` of the highest in the train data.
+
+    Returns:
+        Target → label of a held-out train dynamics → its mean return over the official episodes.
+
+    Raises:
+        FileNotFoundError: the folder is no finished run.
+        ValueError: the run is of a predictor or of an agent that is asked for nothing, held out no dynamics, or a
+            target is no finite number.
+    """
+    run = TrainedRun.read(folder)
+    names, robot = held_out_names(run), run.checkpoint.spec.robot
+    if not hasattr(run.checkpoint.config, "target_return"):
+        raise ValueError(f"{folder} is of {run.checkpoint.agent!r}, which is asked for no return: it has no target")
+    asked, found = tuple(targets) or usual_targets(robot), dict[float, dict[str, float]]()
+    with locked(folder), progress_bar() as bars:
+        bar = bars.add_task(f"{folder.name}, asking", total=len(asked), note="")
+        for target in asked:
+            bars.update(bar, note=f"for {target:g}")
+            config = dataclasses.replace(run.checkpoint.config, target_return=target)  # type: ignore[call-arg]
+            agent = dataclasses.replace(run.checkpoint, config=config).build_agent()
+            assert isinstance(agent, Agent), "`TrainedRun` is of agents alone"
+            indices = [name.index for name in names]
+            means = evaluate(agent.policy(), robot, "train", indices=indices, traces=False).returns.mean(axis=1)
+            found[target] = {name.label: float(mean) for name, mean in zip(names, means, strict=True)}
+            bars.advance(bar)
+        columns = {name.label: [means[name.label] for means in found.values()] for name in names}
+        write_curve(folder / TARGET_CURVE, "target_return", [*found], columns)
+    return found
+
+
+def usual_targets(robot: str) -> tuple[float, ...]:
+    """`SHARES` of the highest return of an episode in a robot's train data, in whole numbers."""
+    scores = reference_scores(robot)
+    best = max(one.max for label, one in scores.items() if label.startswith("train"))
+    return tuple(float(round(share * best)) for share in SHARES)
+
+
+def table(folder: Path, returns: Mapping[float, Mapping[str, float]]) -> rich.table.Table:
+    """A line for each target: the mean return over the held-out dynamics, and that of each."""
+    labels = next(iter(returns.values()))
+    shown = rich.table.Table("asked for", "mean", *labels, title=f"{folder.name}: return in held-out train dynamics")
+    for target, means in returns.items():
+        shown.add_row(f"{target:g}", *(f"{value:.1f}" for value in (fmean(means.values()), *means.values())))
+    return shown
+
+
+def _command(
+    runs: Annotated[list[Path], tyro.conf.Positional], targets: tuple[float, ...] = (), threads: int = 0
+) -> None:
+    """Measure finished runs at several target returns, in the train dynamics that they held out.
+
+    Args:
+        runs: folders of finished runs that were trained with --hold-out.
+        targets: returns to ask for; a quarter to three halves of the highest in the train data if left out.
+        threads: processor threads for torch; 0 leaves it to torch.
+    """
+    if not runs:
+        raise ValueError("no runs given: name at least one run folder")
+    use_threads(threads)
+    for folder in runs:
+        rich.print(table(folder, measure_targets(folder, targets)))
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command line; an error that a user can mend is one line."""
+    try:
+        tyro.cli(_command, prog="python -m agents.targets", args=arguments)
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {error}")
+
+
+if __name__ == "__main__":
+    main()
