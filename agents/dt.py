@@ -9,8 +9,8 @@ told as what differs from it. It must not know the training loop, nor in which d
     heads        a            a                          the action from its step's state token
 
 Written after github.com/kzl/decision-transformer (gym/decision_transformer/models/decision_transformer.py) and the DADT
-paper's Table 6. Differences from the former: learning rate, gradient clip, β₂ and target returns are the paper's;
-dropout masks come from a generator; the unused state and return heads are left out.
+paper's Table 6. Differences from the former: learning rate, gradient clip, β₂ and target returns are the paper's but
+for HalfCheetah's; dropout masks come from a generator; the unused state and return heads are left out.
 """
 
 import dataclasses
@@ -29,8 +29,10 @@ from dynagen_bench.datasets.windows import Windows
 from dynagen_bench.envs import HORIZON
 
 TARGET_RETURN: Final = 1000.0
-OVERRIDES: Final[Mapping[str, Mapping[str, float]]] = {"HalfCheetah": {"target_return": 3000.0}}
-"""Table 6 where a robot differs."""
+OVERRIDES: Final[Mapping[str, Mapping[str, float]]] = {"HalfCheetah": {"target_return": 1500.0}}
+"""Where a robot differs. Table 6 has 3000 for HalfCheetah, "equivalent to or slightly above expert performance" of the
+paper's data. No episode of ours returns as much, and in held-out train dynamics DADT and DT together return most when
+they are asked for 1500 (docs/results.md), which is what the best episodes of half of the train dynamics return."""
 
 RETURN, STATE, ACTION = range(3)
 """Place of a step's tokens."""
@@ -41,7 +43,7 @@ class DTConfig(TransformerConfig):
     """Table 6 without the state prediction."""
 
     target_return: float | None = None
-    """Return asked for when acting; the paper's if left out: 1000, for HalfCheetah 3000."""
+    """Return asked for when acting; if left out 1000, as in the paper, for HalfCheetah 1500 (the paper's: 3000)."""
     return_scale: float = 1000.0
     """Returns-to-go are divided by this (the original's `scale`)."""
 

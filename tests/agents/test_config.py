@@ -35,7 +35,8 @@ def test_defaults_are_the_papers(name):
 
 def test_what_the_agents_add_to_table_6():
     assert DADTConfig().next_state_weight == 0.05
-    targets = {"Walker": 1000, "Hopper": 1000, "HalfCheetah": 3000, "SlimHumanoid": 1000, "Ant": 1000}
+    table_6 = {"Walker": 1000, "Hopper": 1000, "HalfCheetah": 3000, "SlimHumanoid": 1000, "Ant": 1000}
+    targets = table_6 | {"HalfCheetah": 1500}  # chosen in held-out train dynamics: no episode of our data returns 3000
     for robot, target in targets.items():
         assert DTConfig().for_robot(robot).target_return == target
         assert DADTConfig().for_robot(robot).target_return == target

@@ -105,7 +105,7 @@ def test_the_first_phase_has_half_of_the_steps_unless_it_is_said():
     assert DTPlusConfig().for_robot("Hopper").trunk_steps == 500_000
     assert DTPlusConfig(steps=3).for_robot("Ant").trunk_steps == 1
     config = DTPlusConfig(steps=10, trunk_steps=9).for_robot("HalfCheetah")
-    assert (config.trunk_steps, config.target_return) == (9, 3000.0)
+    assert (config.trunk_steps, config.target_return) == (9, 1500.0)
     assert dataclasses.replace(config, steps=20).trunk_steps == 9
 
 

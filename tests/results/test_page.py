@@ -38,7 +38,7 @@ def made(board, trained, tmp_path):
     (pilot / "curves.csv").write_text("step,loss,validation_loss,validation_return\n100,1,0.5,300\n200,1,0.25,320\n")
     (pilot / "adaptation-curve.csv").write_text("steps,mean_return\n0,300\n500,310.25\n")
     keep([pilot], "learning-rate", tmp_path / "kept")
-    asked = trained("dt", settings={"hold_out": 4})
+    asked = trained("dt", settings={"hold_out": 4}, target_return=7.0)
     (asked / "target-curve.csv").write_text("target_return,mean_return\n565.0,301\n1130.0,290.5\n")
     keep([asked], "target-return", tmp_path / "kept")
     learned = {"agent": "dadt", "robot": "Hopper", "gradient_steps": 200, "dynamics": ["train0", "train1"]}
@@ -69,6 +69,7 @@ def test_the_page_has_every_part(made):
     assert "| dadt | 2.000 | 1.00 |" in page  # 200 steps of 0.01 s
     assert "| dadt | 0.100 | 28 | 694 | 28 |" in page  # a million steps of 0.1 s are 27.8 hours
     assert "| 300.0 | 310.2 |" in page
+    assert "highest return of an episode in our data: Hopper 1,000 (1,000)." in page.replace("\n", " ")
     assert "| the return asked for | 565 | 1,130 |" in page
     assert "| 301.0 | 290.5 |" in page
     assert "| dadt | 300.0 | 320.0 |" in page  # return by gradient steps
