@@ -41,8 +41,11 @@ CHOSEN: Final = {
 }
 """Group of kept runs that hold out train dynamics → what was chosen by them."""
 
-CURVES: Final = {ADAPTATION_CURVE: "steps of fine-tuning on ten episodes", TARGET_CURVE: "the return asked for"}
-"""Curve in held-out train dynamics → what its points are at."""
+CURVES: Final = {
+    ADAPTATION_CURVE: ("steps of fine-tuning on ten episodes", "steps"),
+    TARGET_CURVE: ("the return that is asked for", "asked for"),
+}
+"""Curve in held-out train dynamics → what its points are at, in words and in the head of its table."""
 
 VARIED: Final = {"low-quality": "agent", "next-state-weight": "next_state_weight"}
 """Group of kept runs, of the paper's Figure 5 and Table 4 → what differs in it."""
@@ -128,8 +131,9 @@ CHOICES: Final = """\
 By train dynamics that the runs held out (`--hold-out 4`), never by test dynamics, and on Hopper alone but for the
 target return: the other robots have what was chosen there. DADT, DT and Transformer-BC have the learning rate 0.001,
 constant as in the paper, and 5,000 steps: beyond some 3,000 the loss in held-out dynamics rises again at that rate, and
-the return there does not. On HalfCheetah DADT and DT are asked for 1,500, at which their mean is highest; half of the
-train dynamics have an episode that returns as much.
+the return there does not. On HalfCheetah DADT and DT are asked for 1,500, at which the mean of the two is highest (443, and
+300 at the paper's 3,000; one run each, so that neighbours differ by chance); half of the train dynamics have an episode
+that returns as much.
 """
 
 COMPUTE: Final = """\
@@ -252,9 +256,9 @@ def _choices(folder: Path) -> list[str]:
             parts += [tables.by_steps(tables.mean_curves(runs, "validation_return"))]
             parts += ["Loss by gradient steps, mean over seeds:\n"]
             parts += [tables.by_steps(tables.mean_curves(runs, "validation_loss"), ".4f")]
-        for name, of in CURVES.items():
+        for name, (words, of) in CURVES.items():
             if curves := held_out_curves(group, name, folder):
-                parts += [f"Mean return by {of}:\n", tables.by_steps(curves, of=of)]
+                parts += [f"Mean return by {words}:\n", tables.by_steps(curves, of=of)]
     return [CHOICES, *parts] if parts else []
 
 
