@@ -131,9 +131,9 @@ CHOICES: Final = """\
 By train dynamics that the runs held out (`--hold-out 4`), never by test dynamics, and on Hopper alone but for the
 target return: the other robots have what was chosen there. DADT, DT and Transformer-BC have the learning rate 0.001,
 constant as in the paper, and 5,000 steps: beyond some 3,000 the loss in held-out dynamics rises again at that rate, and
-the return there does not. On HalfCheetah DADT and DT are asked for 1,500, at which the mean of the two is highest (443, and
-300 at the paper's 3,000; one run each, so that neighbours differ by chance); half of the train dynamics have an episode
-that returns as much.
+the return there does not. On HalfCheetah DADT and DT are asked for 1,500, at which the mean of the two is highest: 443,
+and 300 at the paper's 3,000. These are one run each, so that neighbours differ by chance too. Half of the train
+dynamics have an episode that returns as much.
 """
 
 COMPUTE: Final = """\
