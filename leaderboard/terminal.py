@@ -30,7 +30,7 @@ def show_tables(entries: Sequence[Entry], console: rich.console.Console) -> None
 def _means(table: Table, robots: Sequence[str]) -> rich.table.Table:
     """Mean ± standard deviation, with the behaviour data's own score below."""
     grid = _grid(f"{TRACKS[table.track]}, {CHECKPOINTS[table.checkpoint]}", [*robots])
-    grid.add_column("Label")
+    grid.add_column("Label", overflow="fold")
     for row in table.rows:
         grid.add_row(*_cells(row, robots), end_section=row is table.rows[-1])
     data = data_scores()
@@ -59,9 +59,9 @@ def _rank_cell(cell: Cell | None) -> str:
 
 def _grid(title: str, columns: Sequence[str]) -> rich.table.Table:
     grid = rich.table.Table(title=title)
-    grid.add_column("Agent")
+    grid.add_column("Agent", overflow="fold")  # a narrow terminal breaks words, and cuts none
     for column in columns:
-        grid.add_column(column, justify="right")
+        grid.add_column(column, justify="right", overflow="fold")
     return grid
 
 

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from dynagen_bench import ids
 from dynagen_bench.datasets import scores
 from dynagen_bench.evaluation.submission import FILE_NAME, write_submission
 from leaderboard.__main__ import main
@@ -215,6 +216,19 @@ def test_texts_are_not_read_as_markup_of_the_terminal(tmp_path, board, capsys):
     capsys.readouterr()
     assert main(["show", "--board", str(board)]) == 0
     assert "[red]not" in capsys.readouterr().out
+
+
+def test_a_narrow_terminal_cuts_no_word(tmp_path, board, capsys, monkeypatch):
+    runs = {robot: [100.0, 101.0] for robot in ids.ROBOTS}
+    write_submission(tmp_path, submission(runs, agent="trajectory_transformer"))
+    assert main(["submit", str(tmp_path), "--board", str(board)]) == 0
+    monkeypatch.setenv("COLUMNS", "80")
+    capsys.readouterr()
+    assert main(["show", "--board", str(board)]) == 0
+    shown = capsys.readouterr().out
+    assert "…" not in shown
+    agent = "".join(line[1:].split("│")[0].strip() for line in shown.splitlines() if line.startswith("│"))
+    assert agent.startswith("trajectory_transformer")
 
 
 def test_the_leaderboard_loads_no_agent_and_no_torch():
