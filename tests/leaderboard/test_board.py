@@ -219,6 +219,7 @@ def test_texts_are_not_read_as_markup_of_the_terminal(tmp_path, board, capsys):
 
 
 def test_a_narrow_terminal_cuts_no_word(tmp_path, board, capsys, monkeypatch):
+    write_references(scores.REFERENCE_FILE)
     runs = {robot: [100.0, 101.0] for robot in ids.ROBOTS}
     write_submission(tmp_path, submission(runs, agent="trajectory_transformer"))
     assert main(["submit", str(tmp_path), "--board", str(board)]) == 0
