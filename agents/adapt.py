@@ -28,6 +28,7 @@ from agents.fine_tuning import (
     FineTuning,
     TrainedRun,
     check_takes_steps,
+    curve_table,
     held_out_names,
     measure_curve,
     write_curve,
@@ -162,10 +163,7 @@ def choose_steps(folder: Path, settings: AdaptationSettings, points: Sequence[in
         bar = bars.add_task(f"{folder.name}, curve", total=total, note="")
         returns = measure_curve(run, settings, points, lambda: bars.advance(bar))
         write_curve(path, "steps", points, returns)
-    table = rich.table.Table("steps", "mean return", *returns)
-    for steps, *values in zip(points, *returns.values(), strict=True):
-        table.add_row(str(steps), *(f"{value:.1f}" for value in (np.mean(values), *values)))
-    rich.print(table)
+    rich.print(curve_table("steps", points, returns, f"{folder.name}: return in held-out train dynamics"))
     return path
 
 

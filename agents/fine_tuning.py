@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
+from rich.table import Table
 from torch import Tensor
 
 from agents import AGENTS
@@ -209,3 +210,11 @@ def write_curve(path: Path, of: str, points: Sequence[float], returns: Mapping[s
         writer.writerow([of, "mean_return", *returns])
         for point, *values in zip(points, *returns.values(), strict=True):
             writer.writerow([point, *(f"{value:.7g}" for value in (float(np.mean(values)), *values))])
+
+
+def curve_table(of: str, points: Sequence[float], returns: Mapping[str, Sequence[float]], title: str) -> Table:
+    """The same for the terminal."""
+    shown = Table(of, "mean return", *returns, title=title)
+    for point, *values in zip(points, *returns.values(), strict=True):
+        shown.add_row(f"{point:.12g}", *(f"{value:.1f}" for value in (np.mean(values), *values)))
+    return shown

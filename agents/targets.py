@@ -9,14 +9,12 @@ import dataclasses
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from statistics import fmean
 from typing import Annotated, Final
 
 import rich
-import rich.table
 import tyro
 
-from agents.fine_tuning import TrainedRun, held_out_names, write_curve
+from agents.fine_tuning import TrainedRun, curve_table, held_out_names, write_curve
 from agents.interface import Agent
 from agents.recording import progress_bar
 from agents.run_folder import TARGET_CURVE, locked
@@ -59,8 +57,7 @@ def measure_targets(folder: Path, targets: Sequence[float] = ()) -> dict[float, 
             means = evaluate(agent.policy(), robot, "train", indices=indices, traces=False).returns.mean(axis=1)
             found[target] = {name.label: float(mean) for name, mean in zip(names, means, strict=True)}
             bars.advance(bar)
-        columns = {name.label: [means[name.label] for means in found.values()] for name in names}
-        write_curve(folder / TARGET_CURVE, "target_return", [*found], columns)
+        write_curve(folder / TARGET_CURVE, "target_return", [*found], _by_dynamics(found))
     return found
 
 
@@ -71,13 +68,10 @@ def usual_targets(robot: str) -> tuple[float, ...]:
     return tuple(float(round(share * best)) for share in SHARES)
 
 
-def table(folder: Path, returns: Mapping[float, Mapping[str, float]]) -> rich.table.Table:
-    """A line for each target: the mean return over the held-out dynamics, and that of each."""
-    labels = next(iter(returns.values()))
-    shown = rich.table.Table("asked for", "mean", *labels, title=f"{folder.name}: return in held-out train dynamics")
-    for target, means in returns.items():
-        shown.add_row(f"{target:g}", *(f"{value:.1f}" for value in (fmean(means.values()), *means.values())))
-    return shown
+def _by_dynamics(found: Mapping[float, Mapping[str, float]]) -> dict[str, list[float]]:
+    """Label of a dynamics → its mean return at each target."""
+    labels = next(iter(found.values()))
+    return {label: [means[label] for means in found.values()] for label in labels}
 
 
 def _command(
@@ -94,7 +88,9 @@ def _command(
         raise ValueError("no runs given: name at least one run folder")
     use_threads(threads)
     for folder in runs:
-        rich.print(table(folder, measure_targets(folder, targets)))
+        found = measure_targets(folder, targets)
+        title = f"{folder.name}: return in held-out train dynamics"
+        rich.print(curve_table("asked for", [*found], _by_dynamics(found), title))
 
 
 def main(arguments: list[str] | None = None) -> None:

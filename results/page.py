@@ -205,13 +205,13 @@ def _scores(entries: Sequence[Entry], runs: Sequence[Run]) -> list[str]:
 
 def _targets(runs: Sequence[Run]) -> list[str]:
     """What the runs are asked for, those that are, beside what the data have shown."""
-    asked: dict[str, dict[float, None]] = {robot: {} for robot in ids.ROBOTS}
-    for run in runs:
-        if (target := run.facts.get("target_return")) is not None:
-            asked[run.facts["robot"]][target] = None
-    best = {robot: max(one.max for one in reference_scores(robot).values()) for robot, own in asked.items() if own}
-    told = (f"{robot} {' and '.join(f'{x:,.0f}' for x in asked[robot])} ({best[robot]:,.0f})" for robot in best)
-    return [f"{TARGETS}: {', '.join(told)}.\n"] if best else []
+    asked = {(run.facts["robot"], run.facts["target_return"]) for run in runs if "target_return" in run.facts}
+    told = []
+    for robot in ids.ROBOTS:
+        if own := sorted(target for other, target in asked if other == robot):
+            best = max(one.max for one in reference_scores(robot).values())
+            told.append(f"{robot} {' and '.join(f'{target:,.0f}' for target in own)} ({best:,.0f})")
+    return [f"{TARGETS}: {', '.join(told)}.\n"] if told else []
 
 
 def _varied(entries: Sequence[Entry], groups: Mapping[str, Sequence[Run]]) -> list[str]:
