@@ -98,7 +98,8 @@ def claims(entries: Sequence[Entry], errors: Sequence[Errors], groups: Mapping[s
     scores = replayed_scores(entries)
     zero = {name: scores.get(f"{slug}-zero-shot-last") for name, slug in SLUGS.items()}
     adapted = {name: scores.get(f"{slug}-adaptation-last") for name, slug in SLUGS.items()}
-    low = final_scores(groups.get("low-quality", ()), "agent")
+    by_agent = final_scores(groups.get("low-quality", ()), "agent")
+    low = {name: by_agent.get(slug.replace("-", "_")) for name, slug in SLUGS.items()}
     weights = final_scores(groups.get("next-state-weight", ()), "next_state_weight")
     error = error_scores(errors)
     return [
@@ -133,7 +134,7 @@ def claims(entries: Sequence[Entry], errors: Sequence[Errors], groups: Mapping[s
         _all(
             "DADT acts best on low-quality data",
             "Figure 5",
-            *(_than(low, "dadt", name) for name in ("dt", "transformer_bc")),
+            *(_than(low, "DADT", name) for name in ("DT", "Transformer-BC")),
         ),
         _robust(weights),
     ]

@@ -179,6 +179,19 @@ def check_seeds(group: str, runs: Sequence[Run], fact: str) -> None:
             raise ValueError(f"{same} and {run.name} of the group {group!r} have the same seed: keep one of them")
 
 
+def beside_reference(runs: Sequence[Run], reference: Sequence[Run], fact: str) -> list[Run]:
+    """The runs, and the reference runs that differ from one of them in a fact and their seed, and in nothing else.
+
+    What is varied has a value in the reference runs already: that one is trained and kept once.
+    """
+    alike = [_facts_but(run, fact) for run in runs]
+    return [*runs, *(run for run in reference if _facts_but(run, fact) in alike)]
+
+
+def _facts_but(run: Run, fact: str) -> dict[str, Any]:
+    return {key: value for key, value in run.facts.items() if key != fact}
+
+
 def kept_errors(group: str = REFERENCE, folder: Path = FOLDER) -> list[Errors]:
     """The next-state errors of a group's runs, by agent and robot.
 

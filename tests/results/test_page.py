@@ -12,7 +12,7 @@ from agents.summary.intervals import Estimate
 from agents.summary.runs import read_runs
 from leaderboard.board import submit
 from results.figures import error_bars, learning_curves
-from results.kept import keep
+from results.kept import beside_reference, keep
 from results.page import PAGE, pages
 from results.tables import training
 from tests.evaluation.samples import traced
@@ -32,7 +32,7 @@ def made(board, trained, tmp_path):
     """The pages of that board and of some kept runs."""
     for agent in ("dadt", "dt"):
         submit(board / agent, tmp_path / "board")
-    runs = [trained("dadt", seed, errors=[0.02] * 5, score=40.0 + seed) for seed in range(2)]
+    runs = [trained("dadt", n, errors=[0.02] * 5, score=40.0 + n, next_state_weight=0.05) for n in range(2)]
     keep([*runs, trained("mlp", errors=[0.5] * 5)], "reference", tmp_path / "kept")
     pilot = trained("dadt", settings={"hold_out": 4}, learning_rate=3e-4)
     (pilot / "curves.csv").write_text("step,loss,validation_loss,validation_return\n100,1,0.5,300\n200,1,0.25,320\n")
@@ -92,6 +92,7 @@ def test_low_quality_data_and_weights_stand_beside_what_they_are_compared_with(m
     assert f"| DADT | – | {score:.2f} ± " in made[PAGE]  # as on the board
     assert "| mlp | – | 5 (1 run) | – | – | – |" in lines  # no entry of the board to stand beside
     assert "| 0.1 | – | 32.00 ± 2.83 (2 runs) | – | – | – | 45.97 ± 20.93 |" in lines
+    assert "| 0.05 | – | 40.500 ± 0.707 (2 runs) | – | – | – | 46.17 ± 20.74 |" in lines  # the reference runs, kept once
     assert "| 1.0 | – | – | – | – | – | 44.10 ± 19.55 |" in lines
 
 
@@ -99,6 +100,15 @@ def test_all_that_was_run_is_listed(made):
     told = made[PAGE].split("## What was run")[1]
     for part in ("On low-quality data:", "By the weight of the next state's error:"):
         assert "| dadt | Hopper | 0, 1 | 200 | 64 | 0.001 " in told.split(part)[1]
+
+
+def test_only_reference_runs_that_differ_in_nothing_else_stand_beside_a_weight(trained):
+    folder = trained("dadt", next_state_weight=0.1)
+    for weight, changes in ((0.05, {}), (0.5, {}), (0.05, {"learning_rate": 3e-4})):
+        trained("dadt", 1, next_state_weight=weight, **changes)
+    first, *others = read_runs(folder.parent)
+    found = beside_reference([first], others, "next_state_weight")
+    assert found == [first, *others[:2]]
 
 
 @pytest.mark.parametrize(
