@@ -53,14 +53,7 @@ def adapt(folder: Path, settings: AdaptationSettings) -> Path:
     settings = settings.for_agent(run.checkpoint.build_agent(), run.checkpoint.config)
     assert settings.steps is not None, "for_agent fills it in"
     robot, result, parts = run.checkpoint.spec.robot, folder / "adaptation.json", folder / "adaptation"
-    facts = {
-        "agent": run.checkpoint.agent,
-        "seed": run.checkpoint.seed,
-        "gradient_steps": run.checkpoint.step + settings.steps,
-        "trained_steps": run.checkpoint.step,
-        "adaptation": dataclasses.asdict(settings),
-        "versions": package_versions(),
-    }
+    facts = _facts(run, dataclasses.asdict(settings)) | {"gradient_steps": run.checkpoint.step + settings.steps}
     with locked(folder):
         if _is_of(result, facts):
             return result
@@ -77,6 +70,17 @@ def adapt(folder: Path, settings: AdaptationSettings) -> Path:
         _write_result(result, {**facts, **how}, join([read_result(file) for file in files]))
         shutil.rmtree(parts)
     return result
+
+
+def _facts(run: TrainedRun, adaptation: dict[str, Any]) -> dict[str, Any]:
+    """What a result is made of: it is the same for the same."""
+    return {
+        "agent": run.checkpoint.agent,
+        "seed": run.checkpoint.seed,
+        "trained_steps": run.checkpoint.step,
+        "adaptation": adaptation,
+        "versions": package_versions(),
+    }
 
 
 def _adapt_each(
@@ -156,13 +160,21 @@ def choose_steps(folder: Path, settings: AdaptationSettings, points: Sequence[in
         FileNotFoundError, ValueError, FloatingPointError: as `adapt`; or the run held out no dynamics, or its agent
             takes no steps.
     """
-    run, path = TrainedRun.read(folder), folder / ADAPTATION_CURVE
+    run, path, parts = TrainedRun.read(folder), folder / ADAPTATION_CURVE, folder / "adaptation-curve"
     check_takes_steps(run)
+    names = held_out_names(run)
+    data = run.data(names, settings.episodes)
+    facts = _facts(run, dataclasses.asdict(settings) | {"steps": [*points]})
     with locked(folder), progress_bar() as bars:
-        total = max(points) * len(held_out_names(run))
-        bar = bars.add_task(f"{folder.name}, curve", total=total, note="")
-        returns = measure_curve(run, settings, points, lambda: bars.advance(bar))
+        bar = bars.add_task(f"{folder.name}, curve", total=max(points) * len(names), note="")
+        for number, (name, own) in enumerate(zip(names, data, strict=True)):
+            bars.update(bar, completed=number * max(points), note=name.label)
+            if not _is_of(part := parts / f"{name.label}.json", facts):
+                means = measure_curve(run.checkpoint, settings, name, own, points, lambda: bars.advance(bar))
+                write_json(part, {**facts, "mean_returns": means})
+        returns = {name.label: read_json(parts / f"{name.label}.json")["mean_returns"] for name in names}
         write_curve(path, "steps", points, returns)
+        shutil.rmtree(parts)
     rich.print(curve_table("steps", points, returns, f"{folder.name}: return in held-out train dynamics"))
     return path
 
@@ -198,7 +210,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (ValueError, OSError, FloatingPointError) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
-        sys.exit("stopped: give the same command again to continue; with --curve it begins anew")
+        sys.exit("stopped: give the same command again to continue")
 
 
 if __name__ == "__main__":

@@ -190,17 +190,19 @@ def held_out_names(run: TrainedRun) -> list[ids.DynamicsId]:
 
 
 def measure_curve(
-    run: TrainedRun, settings: AdaptationSettings, points: Sequence[int], after_each: Callable[[], None]
-) -> dict[str, list[float]]:
-    """The mean return after so many steps, in each held-out train dynamics by label; `settings.steps` is not used."""
-    names, found = held_out_names(run), dict[str, list[float]]()
-    for name, data in zip(names, run.data(names, settings.episodes), strict=True):
-        tuning, means = FineTuning(run.checkpoint, settings, name, data), list[float]()
-        for steps in points:
-            tuning.advance_to(steps, after_each)
-            means.append(float(tuning.evaluate().returns.mean()))
-        found[name.label] = means
-    return found
+    checkpoint: Checkpoint,
+    settings: AdaptationSettings,
+    name: ids.DynamicsId,
+    data: OfflineDataset,
+    points: Sequence[int],
+    after_each: Callable[[], None],
+) -> list[float]:
+    """The mean return after so many steps in one dynamics; `settings.steps` is not used."""
+    tuning, means = FineTuning(checkpoint, settings, name, data), list[float]()
+    for steps in points:
+        tuning.advance_to(steps, after_each)
+        means.append(float(tuning.evaluate().returns.mean()))
+    return means
 
 
 def write_curve(path: Path, of: str, points: Sequence[float], returns: Mapping[str, Sequence[float]]) -> None:

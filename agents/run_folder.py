@@ -17,6 +17,7 @@ know any agent.
       adaptation.json         the result of fine-tuning the last checkpoint for each test dynamics (`adapt`), its traces
       adaptation.safetensors  beside it; adaptation/ holds the dynamics that are done, until all are
       adaptation-curve.csv    returns by steps of fine-tuning, in train dynamics that the run held out (`adapt --curve`)
+                              adaptation-curve/, too, holds the dynamics that are done, until all are
       target-curve.csv        returns by what is asked for, in train dynamics that the run held out (`agents.targets`)
       prediction.json         the last checkpoint's next-state errors in the data of the test dynamics: what a predictor
                               has in place of evaluations, and `predict` adds for agents that can

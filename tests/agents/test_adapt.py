@@ -146,11 +146,16 @@ def test_a_loss_that_is_no_number_stops_with_its_step_and_dynamics_and_writes_no
     assert not list(run.glob("adaptation*"))
 
 
-def test_the_curve_is_of_held_out_train_dynamics_and_sees_no_test_data(tmp_path, tiny_data, monkeypatch):
-    dataset = random_dataset()
-    dataset = dataclasses.replace(dataset, episode_dynamics=np.array([0, 18, 19]))
+@pytest.fixture
+def held_out(tmp_path):
+    """A finished run of DADT that held out two train dynamics."""
+    dataset = dataclasses.replace(random_dataset(), episode_dynamics=np.array([0, 18, 19]))
     plan = settings(tmp_path / "runs", evaluate_every=0, hold_out=2)
-    run = train("dadt", tiny_config("dadt", steps=2), plan, dataset)
+    return train("dadt", tiny_config("dadt", steps=2), plan, dataset)
+
+
+def test_the_curve_is_of_held_out_train_dynamics_and_sees_no_test_data(held_out, tmp_path, tiny_data, monkeypatch):
+    run = held_out
     only_train = tmp_path / "only-train"
     place = only_train / "dynagen" / "Hopper-RandDyn"
     place.mkdir(parents=True)
@@ -169,6 +174,28 @@ def test_the_curve_is_of_held_out_train_dynamics_and_sees_no_test_data(tmp_path,
     assert rows[0]["mean_return"] != rows[1]["mean_return"]
     with pytest.raises(FileNotFoundError, match="no data of Hopper-RandDyn-test0"):
         adapt(run, FAST)
+
+
+def test_a_curve_that_was_stopped_goes_on_with_the_dynamics_it_was_at(held_out, tiny_data, monkeypatch):
+    whole = choose_steps(held_out, FAST, points=(0, 2)).read_bytes()
+    (held_out / "adaptation-curve.csv").unlink()
+    update, taken = Learner.update, []
+
+    def stopped(self, sampler):
+        taken.append(self.seed)
+        if len(taken) == 4:  # the second step of the second dynamics
+            raise KeyboardInterrupt
+        return update(self, sampler)
+
+    monkeypatch.setattr(Learner, "update", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        choose_steps(held_out, FAST, points=(0, 2))
+    assert [file.name for file in (held_out / "adaptation-curve").iterdir()] == ["train18.json"]
+    assert choose_steps(held_out, FAST, points=(0, 2)).read_bytes() == whole
+    assert len(taken) == 4 + 2
+    choose_steps(held_out, dataclasses.replace(FAST, seed=1), points=(0, 2))
+    assert len(taken) == 4 + 2 + 4  # nothing is left of the other curve
+    assert not (held_out / "adaptation-curve").exists()
 
 
 def edited(run, change):
