@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final
 import tyro
 
 from agents import TRAINABLE
-from agents.run_folder import RunSettings, git_commit
+from agents.run_folder import RunSettings, git_commit, is_committed
 from agents.summary import write_summary
 from agents.sweep_plan import SweepRun, is_finished, plan
 from agents.train import run
@@ -93,7 +93,7 @@ def _command(
         processes: how many at once; one per processor if left out.
         ray: "local", or the address of a cluster.
     """
-    if (git_commit() or "").endswith("-dirty"):
+    if (commit := git_commit()) and not is_committed(commit):
         warning = "warning: files of the checkout are not as they are committed: nobody can make these runs again"
         print(warning, file=sys.stderr)
     planned = sweep([*lines, *(read_lines(jobs_file) if jobs_file else [])], runs, processes, ray)

@@ -210,3 +210,11 @@ def test_a_file_of_lines_has_comments_and_needs_to_be_there(tmp_path):
     assert read_lines(tmp_path / "lines.txt") == ["dt --robot Hopper", "dadt --robot Ant # not one"]
     with pytest.raises(SystemExit, match=r"error: no file .*none\.txt: give one with a command line"):
         main(["--jobs-file", str(tmp_path / "none.txt")])
+
+
+@pytest.mark.parametrize(("commit", "warned"), [("a" * 40 + "-dirty", True), ("a" * 40, False), (None, False)])
+def test_changed_files_are_warned_of_before_anything_runs(commit, warned, monkeypatch, capsys):
+    monkeypatch.setattr("agents.sweep.git_commit", lambda: commit)
+    with pytest.raises(SystemExit, match="error: "):
+        main([])  # no run is named
+    assert ("nobody can make these runs again" in capsys.readouterr().err) is warned
