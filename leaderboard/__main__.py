@@ -140,6 +140,9 @@ def main(arguments: list[str] | None = None) -> int:
     except (OSError, ValueError, RuntimeError) as error:
         print(f"leaderboard: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print("leaderboard: stopped", file=sys.stderr)
+        return 130
     return status if isinstance(status, int) else 0
 
 

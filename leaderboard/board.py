@@ -5,6 +5,7 @@ must not know how tables look.
 """
 
 import contextlib
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -61,14 +62,15 @@ def submit(
 
     Raises:
         FileNotFoundError: there is no submission in `folder`, or no entry to join.
-        FileExistsError: the board has an entry of this name, and neither `replace` nor `join` is given.
+        FileExistsError: the board has an entry of this name, and neither `replace` nor `join` is given, or it is of
+            another agent.
         ValueError: one line naming the file and the field that is wrong.
     """
     if replace and join:
         raise ValueError("give either --replace or --join: the new runs stand alone, or beside those of the entry")
     submission = read_official(folder)
     run_scores(submission)  # there have to be reference scores
-    _check_name(board, slug_of(submission), replace or join)
+    _check_name(board, submission, replace or join)
     if join:
         joined(_entry(board, slug_of(submission)).submission, submission)  # raises before the long replay
     checks = verify(folder, submission, done)
@@ -78,7 +80,7 @@ def submit(
         raise ValueError(faults[0] + more)
     entry = Entry(slug_of(submission), _with_returns(submission, checks), label_of(checks))
     with _locked(board):
-        _check_name(board, entry.slug, replace or join)
+        _check_name(board, submission, replace or join)
         sources = [folder]
         if join:  # what the entry has is the entry's, whatever else lies in the given folder under the same name
             there = _entry(board, entry.slug)
@@ -180,21 +182,33 @@ def _locked(board: Path) -> Iterator[None]:
         yield
 
 
-def _check_name(board: Path, slug: str, replace: bool) -> None:
-    if not replace and (board / FOLDER / slug).is_dir():
+def _check_name(board: Path, submission: Submission, replace: bool) -> None:
+    """Raise FileExistsError if the entry's place is taken and not to be given up, or is another agent's."""
+    slug = slug_of(submission)
+    if not (board / FOLDER / slug).is_dir():
+        return
+    if not replace:
         raise FileExistsError(
             f"{board} has an entry {slug!r}: give --replace, --join to add runs to it, or another name to the agent"
         )
+    there = _entry(board, slug).submission.agent
+    if _spelling(there) != _spelling(submission.agent):  # `DT` and `DT+` have one folder name
+        raise FileExistsError(
+            f"{board} has an entry {slug!r}, of {there!r} and not of {submission.agent!r}: give the agent another name"
+        )
+
+
+def _spelling(agent: str) -> str:
+    """An agent's name without what may be mended of it: case, spaces, `-` and `_`."""
+    return re.sub(r"[\s_-]", "", agent.casefold())
 
 
 def _with_returns(submission: Submission, checks: Sequence[RunCheck]) -> Submission:
-    """The submission with the returns that the replay gave: the board believes no other."""
-    runs = [
-        check.run.model_copy(
-            update={"evaluation": check.run.evaluation.model_copy(update={"returns": check.returns.tolist()})}
-        )
-        for check in checks
-    ]
+    """The submission with the returns that the replay gave, and whose they are: the board believes no other."""
+    runs = []
+    for check in checks:
+        found = {"returns": check.returns.tolist(), "physics": check.physics}
+        runs.append(check.run.model_copy(update={"evaluation": check.run.evaluation.model_copy(update=found)}))
     return submission.model_copy(update={"runs": runs})
 
 

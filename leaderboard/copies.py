@@ -16,7 +16,7 @@ import numpy as np
 
 from dynagen_bench.envs import HORIZON
 from dynagen_bench.evaluation.submission import FILE_NAME, Run, Submission
-from leaderboard.entries import Entry
+from leaderboard.entries import Entry, slug_of
 from leaderboard.verify import TOLERANCE
 
 SHARE: Final = 0.5
@@ -24,14 +24,15 @@ SHARE: Final = 0.5
 
 
 def check_copies(folder: Path, submission: Submission, entries: Sequence[Entry]) -> None:
-    """Raise ValueError for a run that the submission has twice, or that an entry of another agent has.
+    """Raise ValueError for a run that the submission has twice, or that another entry has.
 
-    An agent's own runs may stand in several entries: of its last checkpoints, and of its best ones.
+    An agent's own runs may stand in two entries of a track: of its last checkpoints, and of its best ones. An entry of
+    the submission's own name is that submission, or what it replaces.
     """
     others = [
         (f"the entry {entry.slug!r}", run)
         for entry in entries
-        if entry.submission.agent != submission.agent
+        if entry.slug != slug_of(submission) and _origin(entry.submission) != _origin(submission)
         for run in entry.submission.runs
     ]
     for number, run in enumerate(submission.runs):
@@ -43,6 +44,10 @@ def check_copies(folder: Path, submission: Submission, entries: Sequence[Entry])
                     f"{folder / FILE_NAME}: {run.robot} with seed {run.seed}: {same:.0%} of its episodes are those of "
                     f"{where}: give a run once, and under the name of the agent that made it"
                 )
+
+
+def _origin(submission: Submission) -> tuple[object, ...]:
+    return submission.agent, submission.authors, submission.track
 
 
 def same_episodes(run: Run, other: Run) -> float:

@@ -36,6 +36,8 @@ class RunCheck(NamedTuple):
     label: Label
     returns: NDArray[np.float64]
     """(dynamics, episodes): those of the replay, or the claimed ones of a run without traces."""
+    physics: str | None
+    """Digest of the arithmetic that gave these returns and the trace's states; None where they are of two machines."""
     transitions: int
     """Steps that were replayed."""
     seconds: float
@@ -67,12 +69,13 @@ def label_of(checks: list[RunCheck]) -> Label:
 def _check_run(folder: Path, number: int, run: Run) -> RunCheck:
     evaluation = run.evaluation.evaluation()
     if run.trace is None:
-        return RunCheck(run, "self-reported", evaluation.returns, 0, 0.0, ())
+        return RunCheck(run, "self-reported", evaluation.returns, evaluation.physics, 0, 0.0, ())
     try:
         traces = read_traces(folder, run)
     except (FileNotFoundError, ValueError) as error:
-        return RunCheck(run, "self-reported", evaluation.returns, 0, 0.0, (str(error),))
-    exact = evaluation.mujoco == mujoco.__version__ and evaluation.physics == physics_digest(run.robot)
+        return RunCheck(run, "self-reported", evaluation.returns, evaluation.physics, 0, 0.0, (str(error),))
+    here = physics_digest(run.robot)
+    exact = evaluation.mujoco == mujoco.__version__ and evaluation.physics == here
     found = replay(evaluation, traces)
     same = np.array_equal(found.starts, found.first_states) and np.array_equal(found.ends, found.stored_ends)
     tolerance = 0.0 if exact or same else TOLERANCE
@@ -82,7 +85,8 @@ def _check_run(folder: Path, number: int, run: Run) -> RunCheck:
         faults = [*faults[:MAX_FAULTS], f"{folder / FILE_NAME}: runs.{number}: and {len(faults) - MAX_FAULTS} more"]
     label: Label = "self-reported" if faults else "replayed (tolerance)" if tolerance else "replayed"
     returns = found.returns.reshape(evaluation.returns.shape)
-    return RunCheck(run, label, returns, int(evaluation.lengths.sum()), 0.0, tuple(faults))
+    physics = here if exact or same else None
+    return RunCheck(run, label, returns, physics, int(evaluation.lengths.sum()), 0.0, tuple(faults))
 
 
 def _faults(

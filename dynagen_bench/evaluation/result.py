@@ -150,7 +150,7 @@ class EpisodeRecord(pydantic.BaseModel):
     seeds: Rows[Annotated[int, pydantic.Field(ge=0, lt=2**31)]]
     mujoco: str = pydantic.Field(pattern=r"^[0-9A-Za-z.+-]{1,32}$")
     physics: str | None = pydantic.Field(default=None, pattern=r"^[0-9a-f]{16}$")
-    """Digest of the machine's arithmetic: of the same digest, a replay has to be exact."""
+    """Digest of the machine's arithmetic: where a replay finds the same, it has to be exact."""
 
     @classmethod
     def from_evaluation(cls, evaluation: Evaluation) -> "EpisodeRecord":

@@ -1,9 +1,14 @@
 """Small evaluations and submissions with round numbers, for the tests of evaluation and of the leaderboard."""
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from dynagen_bench import ids
 from dynagen_bench.datasets.scores import Reference, write_reference_scores
@@ -70,3 +75,20 @@ def traced(
     made = submission().model_copy(update={"format_version": 2, "runs": runs} | fields)
     write_submission(folder, made, [one.traces for one in found.values() if one.traces is not None])
     return made
+
+
+def with_other_arithmetic(code: str, *arguments: str) -> Any:
+    """What a Python process prints as JSON whose C library has another sine: it is told that there is no AVX2 and FMA.
+
+    Skips the test where that changes nothing, as on another processor or C library.
+    """
+    sine = "import math; print(sum(hash(math.sin(x / 7)) for x in range(10_000)))"
+    other = os.environ | {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA", "OMP_NUM_THREADS": "1"}
+
+    def printed(program: str, environment: Any) -> str:
+        command = [sys.executable, "-c", program, *arguments]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+    if printed(sine, other) == printed(sine, os.environ):
+        pytest.skip("the C library computes the same here, whatever it is told of the processor")
+    return json.loads(printed(code, other))

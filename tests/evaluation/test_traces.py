@@ -25,6 +25,7 @@ from dynagen_bench.evaluation.traces import (
     sizes,
     stored_states,
 )
+from tests.evaluation.samples import with_other_arithmetic
 
 
 @pytest.mark.parametrize("robot", ids.ROBOTS)
@@ -99,6 +100,15 @@ def test_the_digest_of_physics_is_the_same_again_and_differs_between_robots():
     digests = {robot: physics_digest.__wrapped__(robot) for robot in ids.ROBOTS}
     assert digests == {robot: physics_digest(robot) for robot in ids.ROBOTS}
     assert len(set(digests.values())) == len(ids.ROBOTS)
+
+
+def test_the_digest_tells_c_libraries_apart():
+    there = with_other_arithmetic(
+        "import json; from dynagen_bench import ids; from dynagen_bench.evaluation.traces import physics_digest;"
+        "print(json.dumps({robot: physics_digest(robot) for robot in ids.ROBOTS}))"
+    )
+    assert there.keys() == set(ids.ROBOTS)
+    assert [robot for robot in ids.ROBOTS if there[robot] == physics_digest(robot)] == []
 
 
 @pytest.mark.parametrize("field", ["states", "rewards"])

@@ -75,6 +75,45 @@ def test_one_episode_that_is_anothers_makes_no_other_run(honest, cheat, board, c
         submit(cheat.folder, board)
 
 
+@pytest.mark.parametrize(
+    ("fields", "slug"),
+    [
+        ({"agent": "mine", "authors": ["Mallory"]}, "mine-zero-shot-last"),
+        ({"authors": ["Mallory"], "checkpoint": "best"}, "dadt-zero-shot-best"),
+        ({"track": "adaptation"}, "dadt-adaptation-last"),
+    ],
+)
+def test_an_entrys_runs_are_in_no_other_entry(tmp_path, board, fields, slug):
+    """Runs that were fine-tuned in the test bodies would else be a zero-shot entry, of whoever sends them."""
+    traced(tmp_path / "mine")
+    submit(tmp_path / "mine", board)
+    traced(tmp_path / "other", **fields)
+    with pytest.raises(ValueError, match="100% of its episodes are those of the entry 'dadt-zero-shot-last'"):
+        submit(tmp_path / "other", board)
+    assert not (board / "entries" / slug).exists()
+    traced(tmp_path / "best", checkpoint="best")
+    submit(tmp_path / "best", board)  # but an agent's last checkpoint may be its best
+    assert [len(checks) for checks in boards.verify_entries(board).values()] == [1, 1]
+
+
+def test_an_agents_name_is_mended_by_replacing_its_entry(tmp_path, board):
+    traced(tmp_path / "mine", agent="my agent")
+    slug = submit(tmp_path / "mine", board).slug
+    traced(tmp_path / "mended", agent="My-Agent")
+    assert submit(tmp_path / "mended", board, replace=True).slug == slug
+    assert [entry.submission.agent for entry in read_entries(board)] == ["My-Agent"]
+
+
+def test_an_agent_takes_no_place_of_one_whose_name_has_the_same_letters(tmp_path, board):
+    traced(tmp_path / "dt", agent="DT")
+    submit(tmp_path / "dt", board)
+    traced(tmp_path / "dt-plus", apart=5, agent="DT+")
+    for replace in (False, True):
+        with pytest.raises(FileExistsError, match=r"has an entry 'dt-zero-shot-last'.* another name"):
+            submit(tmp_path / "dt-plus", board, replace=replace)
+    assert [entry.submission.agent for entry in read_entries(board)] == ["DT"]
+
+
 def test_runs_that_were_made_later_join_the_entry(tmp_path, board):
     first = traced(tmp_path / "first", seeds=(0, 1), commit="a" * 40, hours=1.0, commands=["one"])
     submit(tmp_path / "first", board)

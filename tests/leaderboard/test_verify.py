@@ -9,13 +9,13 @@ import pytest
 from dynagen_bench import ids
 from dynagen_bench.evaluation import RandomPolicy, evaluate
 from dynagen_bench.evaluation.submission import FILE_NAME, Run, write_submission
-from dynagen_bench.evaluation.traces import INTERVAL, Traces
+from dynagen_bench.evaluation.traces import INTERVAL, Traces, physics_digest
 from leaderboard.__main__ import main
-from leaderboard.board import BOARD, submit
+from leaderboard.board import BOARD, submit, verify_entries
 from leaderboard.entries import FOLDER, VERDICT, read_official
 from leaderboard.verify import TOLERANCE, _differences, label_of, verify
 from leaderboard.verify_replay import replay
-from tests.evaluation.samples import submission, traced
+from tests.evaluation.samples import submission, traced, with_other_arithmetic
 
 
 @pytest.mark.parametrize("robot", ids.ROBOTS)
@@ -193,3 +193,43 @@ def test_bad_states_of_a_trace_write_no_file(tmp_path, monkeypatch):
     again = replay(found, Traces(found.traces.lengths, found.traces.actions, states))
     assert np.isfinite(again.returns).all()
     assert os.listdir(tmp_path) == ["references"]
+
+
+def test_an_entry_is_without_fault_on_the_machine_that_sent_it_and_on_the_board_s(tmp_path, board, references):
+    """HalfCheetah's and Hopper's runs of a machine of other arithmetic, there, here, and there again."""
+    there = (
+        "import json, pathlib, sys; from dynagen_bench.datasets import scores;"
+        "folder, board, references = map(pathlib.Path, sys.argv[1:]); scores.REFERENCE_FILE = references;"
+    )
+    places = (str(tmp_path / "mine"), str(board), str(references))
+    made = "from tests.evaluation.samples import traced; traced(folder, ('Hopper', 'HalfCheetah')); print('null')"
+    with_other_arithmetic(there + made, *places)
+    entry = submit(tmp_path / "mine", board)
+    assert entry.label == "replayed (tolerance)"
+    assert [run.evaluation.physics for run in entry.submission.runs] == [None, None]
+    assert not [check.faults for check in verify_entries(board)[entry.slug] if check.faults]
+    again = (
+        "from leaderboard.board import verify_entries;"
+        "found = [check for checks in verify_entries(board).values() for check in checks];"
+        "print(json.dumps([[check.label, check.faults] for check in found]))"
+    )
+    assert with_other_arithmetic(there + again, *places) == [["replayed", []], ["replayed", []]]
+
+
+def test_the_board_says_whose_arithmetic_its_returns_are(tmp_path, board):
+    other, made = with_states(evaluate(RandomPolicy("Hopper"), "Hopper"), 0.0)  # only its digest is another
+    write_submission(tmp_path / "mine", made, [other.traces])
+    entry = submit(tmp_path / "mine", board)
+    assert entry.label == "replayed"
+    assert entry.submission.runs[0].evaluation.physics == physics_digest("Hopper")
+
+
+def test_an_interrupted_verification_says_so_in_one_line(tmp_path, capsys, monkeypatch):
+    traced(tmp_path / "mine")
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("leaderboard.verify.replay", stopped)
+    assert main(["verify", str(tmp_path / "mine")]) == 130
+    assert capsys.readouterr().err == "leaderboard: stopped\n"
