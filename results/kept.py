@@ -1,11 +1,12 @@
 """Runs that are kept in the repository: without weights and traces, which the commands that they tell make again.
 
-What is here: `keep`, and reading what is kept: curves, next-state errors, the steps of adaptation, times of the compute
-benchmark. Called by the command line and the page. It must not know how anything looks.
+What is here: `keep`, and reading what is kept: curves, scores, next-state errors, the steps of adaptation, times of the
+compute benchmark. Called by the command line and the page. It must not know how anything looks.
 
     results/runs/reference/dadt-Hopper-seed0/
       config.json            resolved config, settings, command, commit, versions
       curves.csv             the learning curves
+      evaluation.json        the official evaluation; not of the first runs, whose returns the board has
       prediction.json        next-state errors in the test dynamics, of what predicts
       evaluation-train.json  returns in train dynamics, beside the untrained agent's
       adaptation-curve.csv   returns by steps of fine-tuning, of runs that held out train dynamics
@@ -37,14 +38,20 @@ from agents.run_folder import (
     write_json,
 )
 from agents.summary.runs import Run, read_runs
+from dynagen_bench.datasets.scores import normalized_score
+from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.whole import whole_file
+from leaderboard.statistics import Scores
 
 FOLDER: Final = Path(__file__).parent
 
 REFERENCE: Final = "reference"
 """The group of runs behind the board's entries and the table of errors; others are named by what they vary."""
 
-_COPIED: Final = ("curves.csv", PREDICTION, ADAPTATION_CURVE, TARGET_CURVE, LEARNED)
+EVALUATION: Final = "evaluation.json"
+"""Of a run's last checkpoint, in its folder."""
+
+_COPIED: Final = ("curves.csv", EVALUATION, PREDICTION, ADAPTATION_CURVE, TARGET_CURVE, LEARNED)
 
 _OF_A_MACHINE: Final = ("runs", "name", "threads")
 """Settings that say where a run was made, and nothing about it but for its last bits."""
@@ -66,14 +73,17 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
 
     Raises:
         FileNotFoundError: a folder is no run that has trained.
-        ValueError: no run is given, one is not finished, or not of committed code: nobody could make it again; or the
-            group is no name of a folder.
+        ValueError: no run is given, two have one name, one is not finished, or not of committed code: nobody could make
+            it again; or the group is no name of a folder.
     """
     if not runs:
         raise ValueError("no run is given: give the folders of finished runs, as runs/dadt-Hopper-seed0")
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", group):
         raise ValueError(f"the group is {group!r}: give words in small letters, as {REFERENCE} or low-quality")
     found = {run: _checked(run) for run in (given.resolve() for given in runs)}  # all of them before any is written
+    names = [run.name for run in found]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"two of the runs are called {twice[0]}, and would be kept in one folder: rename one of them")
     kept = []
     for run, about in found.items():
         settings = {key: value for key, value in about["settings"].items() if key not in _OF_A_MACHINE}
@@ -116,15 +126,18 @@ def _plain(command: str | None) -> str | None:
 def _check_finished(run: Path, steps: int) -> None:
     """Raise ValueError if training has not come to its last step, nor ended early by held-out dynamics.
 
-    And if its next-state errors are those of another step.
+    And if its next-state errors, or its returns in train dynamics, are those of another step.
     """
-    result, curve, errors = run / "evaluation.json", read_curve(run, "loss"), run / PREDICTION
+    result, curve = run / EVALUATION, read_curve(run, "loss")
     last = curve[-1][0] if curve else 0
-    stopped_early = result.is_file() and read_json(result).get("stopped_early")
-    if last != steps and not stopped_early:
+    evaluation = read_json(result) if result.is_file() else {}
+    if evaluation.get("stopped_early"):  # between two points of the curve
+        last = evaluation["gradient_steps"]
+    elif last != steps:
         raise ValueError(f"{run} is at step {last} of {steps}: train it to the end first")
-    if errors.is_file() and (measured := read_json(errors)["gradient_steps"]) != last:
-        raise ValueError(f"{errors} is of step {measured}, the run is at step {last}: run agents.predict again")
+    for file, command in ((run / PREDICTION, "agents.predict"), (run / LEARNED, "agents.evaluate")):
+        if file.is_file() and (measured := read_json(file)["gradient_steps"]) != last:
+            raise ValueError(f"{file} is of step {measured}, the run is at step {last}: run {command} again")
 
 
 def keep_compute(benchmark: Path, folder: Path = FOLDER) -> Path:
@@ -190,6 +203,23 @@ def beside_reference(runs: Sequence[Run], reference: Sequence[Run], fact: str) -
 
 def _facts_but(run: Run, fact: str) -> dict[str, Any]:
     return {key: value for key, value in run.facts.items() if key != fact}
+
+
+def kept_scores(group: str, folder: Path = FOLDER) -> dict[str, Scores]:
+    """Agent → robot → (R, M) official scores of a group's runs in each test dynamics, of their last checkpoints.
+
+    Raises:
+        FileNotFoundError: a run was kept without its evaluation.
+    """
+    found: dict[str, dict[str, list[NDArray[np.float64]]]] = {}
+    for run in kept_runs(group, folder):
+        file = folder / "runs" / group / run.name / EVALUATION
+        if not file.is_file():
+            raise FileNotFoundError(f"{file.parent} has no {EVALUATION}: keep the run again, with it")
+        evaluation = Evaluation.from_json(read_json(file)["evaluation"])
+        scores = normalized_score(evaluation.robot, evaluation.returns.mean(axis=1))
+        found.setdefault(run.facts["agent"], {}).setdefault(evaluation.robot, []).append(scores)
+    return {agent: {robot: np.stack(of) for robot, of in robots.items()} for agent, robots in found.items()}
 
 
 def kept_errors(group: str = REFERENCE, folder: Path = FOLDER) -> list[Errors]:

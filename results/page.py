@@ -28,6 +28,7 @@ from results.kept import (
     kept_errors,
     kept_learning,
     kept_runs,
+    kept_scores,
 )
 
 PAGE: Final = "results.md"
@@ -38,7 +39,7 @@ DRAWINGS: Final = "results"
 CHOSEN: Final = {
     "learning-rate": "The learning rate of the transformers and its schedule",
     "adaptation": "The runs whose adaptation is measured below",
-    "target-return": "The runs that are asked for several returns below",
+    "target-return": "The runs that are asked for several returns below, while they train for the paper's 3,000",
 }
 """Group of kept runs that hold out train dynamics → what was chosen by them."""
 
@@ -84,6 +85,13 @@ runs to the values of λ give a distance at least as large. Otherwise it *holds*
 interval is below 10 points; with fewer than three runs of a value it is *undecided*.
 """
 
+ZERO_SHOT: Final = """\
+## Scores without adaptation
+
+The counterpart of the paper's Tables 1, 2 and 7. FOCAL infers the dynamics from the episode so far; its authors give it
+data of the test task, which here is adaptation. What the paper gave it is not said.
+"""
+
 ADAPTED: Final = """\
 ## Scores after adaptation
 
@@ -100,8 +108,9 @@ brackets the highest return of an episode in our data"""
 LOW_QUALITY: Final = """\
 ## Low-quality data
 
-The counterpart of the paper's Figure 5, which gives no numbers: scores without adaptation of agents trained on the
-worst 30 % of the episodes, at the last checkpoint.
+The counterpart of the paper's Figure 5, which gives no numbers, and has FOCAL and MerPO beside DADT, and scores after
+adaptation too: here are scores without adaptation, at the last checkpoint, of the transformers trained on the worst
+30 % of the episodes.
 """
 
 WEIGHTS: Final = """\
@@ -149,8 +158,9 @@ The counterpart of the paper's Figure 3, from one run of `python -m pytest tests
 
 COST: Final = """\
 A million gradient steps, the paper's budget, five runs on each of the five robots, would take by these times what
-follows. The 25 runs of an agent are independent jobs ([sweeps.md](sweeps.md)). On one GPU, an RTX 2080 Ti, the paper's
-authors report at most 8 hours for a run of DADT, which is 200 for 25, and 50 kWh at its rated 250 W. Energy here is
+follows; MerPO has half of the steps in each of its phases. The 25 runs of an agent are independent jobs
+([sweeps.md](sweeps.md)). On one GPU, an RTX 2080 Ti, the paper's authors report at most 8 hours for a run of DADT,
+which is 200 for 25, and 50 kWh at its rated 250 W. Energy here is
 that of the processor alone, one core at its share of the rated power (360 W for 96 cores): an estimate, no measurement.
 """
 
@@ -175,14 +185,16 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
     varied = {group: beside_reference(own[group], runs, fact) for group, fact in VARIED.items()}
     for group, of, fact in ((REFERENCE, runs, "agent"), *((group, varied[group], VARIED[group]) for group in VARIED)):
         check_seeds(group, of, fact)
+    low, weights = kept_scores("low-quality", folder), final_scores(varied["next-state-weight"], "next_state_weight")
     figures = {name: text for robot in ids.ROBOTS for name, text in _figures(robot, runs, errors).items()}
     parts = [
         INTRODUCTION,
         CLAIMS,
-        tables.verdicts(claims(entries, errors, varied)),
+        tables.verdicts(claims(entries, errors, low, weights)),
         *_scores(entries, runs),
         *_pictures(figures, "curves"),
-        *_varied(entries, varied),
+        *([LOW_QUALITY, tables.low_quality(low, entries)] if low else []),
+        *([WEIGHTS, tables.weights(weights)] if weights else []),
         ERRORS,
         tables.errors(errors),
         *_pictures(figures, "errors"),
@@ -198,7 +210,7 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
 
 def _scores(entries: Sequence[Entry], runs: Sequence[Run]) -> list[str]:
     return [
-        "## Scores without adaptation\n\nThe counterpart of the paper's Tables 1, 2 and 7.\n",
+        ZERO_SHOT,
         *_targets(runs),
         tables.scores(entries, "zero-shot"),
         ADAPTED,
@@ -215,13 +227,6 @@ def _targets(runs: Sequence[Run]) -> list[str]:
             best = max(one.max for one in reference_scores(robot).values())
             told.append(f"{robot} {' and '.join(f'{target:,.0f}' for target in own)} ({best:,.0f})")
     return [f"{TARGETS}: {', '.join(told)}.\n"] if told else []
-
-
-def _varied(entries: Sequence[Entry], groups: Mapping[str, Sequence[Run]]) -> list[str]:
-    """What the groups of `VARIED` show, of those that have runs."""
-    low, weights = (final_scores(groups[group], fact) for group, fact in VARIED.items())
-    parts = [LOW_QUALITY, tables.low_quality(low, entries)] if low else []
-    return [*parts, WEIGHTS, tables.weights(weights)] if weights else parts
 
 
 def _learning(folder: Path) -> list[str]:

@@ -1,6 +1,7 @@
 """Verdicts on the paper's claims, by hand."""
 
 import dataclasses
+import json
 import re
 
 import numpy as np
@@ -10,7 +11,7 @@ from leaderboard.entries import Entry
 from leaderboard.statistics import Estimate
 from results import tables
 from results.claims import Evidence, _robust, claims, final_scores, spread_by_chance
-from results.kept import Errors, keep, kept_runs
+from results.kept import Errors, keep, kept_runs, kept_scores
 from tests.evaluation.samples import submission
 
 
@@ -18,8 +19,8 @@ def entry(slug, means, **fields):
     return Entry(slug, submission({"Hopper": means}, **fields), "replayed")
 
 
-def verdicts(entries=(), errors=(), groups=None):
-    return {claim.text: claim for claim in claims(entries, errors, groups or {})}
+def verdicts(entries=(), errors=(), low=None, weights=None):
+    return {claim.text: claim for claim in claims(entries, errors, low or {}, weights or {})}
 
 
 BETTER, CLONING = (
@@ -123,7 +124,7 @@ def weights(trained, tmp_path):
         for weight, of in scores.items():
             runs = [trained("dadt", seed, score=score, next_state_weight=weight) for seed, score in enumerate(of)]
             keep(runs, "next-state-weight", tmp_path / "kept")
-        return {"next-state-weight": kept_runs("next-state-weight", tmp_path / "kept")}
+        return final_scores(kept_runs("next-state-weight", tmp_path / "kept"), "next_state_weight")
 
     return make
 
@@ -133,12 +134,8 @@ ROBUST = "The weight of the next state's error hardly matters"
 
 def test_a_weight_that_matters_is_found(weights):
     groups = weights({0.01: [10.0, 11.0, 12.0], 1.0: [50.0, 51.0, 52.0], 0.1: [30.0, 31.0, 32.0]})
-    assert final_scores(groups["next-state-weight"], "next_state_weight")["0.1"]["Hopper"].tolist() == [
-        [30],
-        [31],
-        [32],
-    ]
-    found = verdicts(groups=groups)[ROBUST]
+    assert groups["0.1"]["Hopper"].tolist() == [[30], [31], [32]]
+    found = verdicts(weights=groups)[ROBUST]
     # 6 of the 1,680 ways to deal nine runs to three values spread them as wide: 0.0036
     assert found.verdict == "does not hold"
     assert found.evidence[0].what == "best − worst of 3 values of λ (1.0, 0.01), points"
@@ -150,9 +147,39 @@ def test_a_weight_that_matters_is_found(weights):
 
 def test_two_runs_of_a_weight_decide_nothing(weights):
     far = {0.01: [10.0, 11.0, 12.0], 1.0: [50.0, 51.0, 52.0], 0.1: [30.0, 31.0], 0.5: [20.0, 21.0, 20.0]}
-    found = verdicts(groups=weights(far))[ROBUST]
+    found = verdicts(weights=weights(far))[ROBUST]
     assert found.verdict == "undecided"
     assert "(Hopper; 2 to 3 runs)" in tables.verdicts([found])  # and the best and the worst have three
+
+
+def test_of_one_run_of_a_weight_no_interval_is_told(weights):
+    found = verdicts(weights=weights({0.01: [10.0], 1.0: [50.0, 51.0, 52.0]}))[ROBUST]
+    assert found.verdict == "undecided"
+    assert found.evidence[0].estimate == Estimate(41.0, None)
+    assert re.search(r"points: 41\.00, as wide by chance p = 0\.\d+ \(Hopper; 1 to 3 runs\)", tables.verdicts([found]))
+
+
+def test_low_quality_scores_are_compared_in_the_same_dynamics(trained, tmp_path):
+    """DADT's runs are better in three of the five dynamics, and worse in the mean."""
+    for agent, means in (("dadt", [60, 60, 60, 10, 10]), ("dt", [50, 50, 50, 90, 90])):
+        for seed in range(3):
+            run = trained(agent, seed, score=0.0, settings={"quality": 0.3})
+            result = json.loads((run / "evaluation.json").read_text())
+            result["evaluation"]["returns"] = [[mean + seed] * 10 for mean in means]
+            (run / "evaluation.json").write_text(json.dumps(result))
+            keep([run], "low-quality", tmp_path / "kept")
+    low = kept_scores("low-quality", tmp_path / "kept")
+    assert low["dadt"]["Hopper"].tolist()[1] == [30.5, 30.5, 30.5, 5.5, 5.5]
+    (claim,) = (claim for text, claim in verdicts(low=low).items() if text.startswith("On low-quality data"))
+    assert (claim.evidence[0].what, claim.evidence[0].estimate.value) == ("DADT > DT", pytest.approx(0.6))
+    (tmp_path / "kept/runs/low-quality" / run.name / "evaluation.json").unlink()
+    with pytest.raises(FileNotFoundError, match=r"has no evaluation\.json: keep the run again"):
+        kept_scores("low-quality", tmp_path / "kept")
+
+
+def test_adapted_focal_is_no_part_of_the_papers_claim():
+    found = verdicts()["DADT acts best after adaptation"]
+    assert [one.what for one in found.evidence] == ["DADT > MerPO", "DADT > Trajectory Transformer"]
 
 
 def test_weights_are_compared_on_the_robots_that_all_have(trained, tmp_path):
@@ -160,7 +187,8 @@ def test_weights_are_compared_on_the_robots_that_all_have(trained, tmp_path):
     for (robot, weight), score in scores.items():
         runs = [trained("dadt", seed, robot=robot, score=score + seed, next_state_weight=weight) for seed in range(3)]
         keep(runs, "next-state-weight", tmp_path / "kept")
-    found = verdicts(groups={"next-state-weight": kept_runs("next-state-weight", tmp_path / "kept")})[ROBUST]
+    of = final_scores(kept_runs("next-state-weight", tmp_path / "kept"), "next_state_weight")
+    found = verdicts(weights=of)[ROBUST]
     assert found.evidence[0].robots == ("Hopper",)
     assert "(0.01, 1.0)" in found.evidence[0].what  # and not 0.05, the best where others have not been run
     assert found.evidence[0].estimate.value == 60.0
@@ -179,12 +207,12 @@ def test_equal_weights_are_told_to_be_equal_where_runs_differ_little():
 
 def test_few_mixed_runs_do_not_show_that_a_weight_does_not_matter(weights):
     groups = weights({0.01: [10.0, 50.0, 30.0], 1.0: [11.0, 49.0, 31.0]})
-    assert verdicts(groups=groups)[ROBUST].verdict == "undecided"
+    assert verdicts(weights=groups)[ROBUST].verdict == "undecided"
 
 
 def test_the_same_scores_show_that_a_weight_does_not_matter(weights):
     groups = weights({0.01: [30.0, 30.0, 30.0], 1.0: [30.0, 30.0, 30.0]})
-    assert verdicts(groups=groups)[ROBUST].verdict == "holds"
+    assert verdicts(weights=groups)[ROBUST].verdict == "holds"
 
 
 def test_the_best_of_many_equal_values_is_not_taken_for_better():

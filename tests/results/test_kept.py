@@ -1,6 +1,7 @@
 """What is kept of a run, and what is not."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,19 @@ def test_errors_of_an_earlier_step_are_not_kept(trained, tmp_path):
     (run / "prediction.json").write_text(json.dumps(record | {"gradient_steps": 100}))
     with pytest.raises(ValueError, match=r"is of step 100, the run is at step 200: run agents\.predict again"):
         keep([run], "reference", tmp_path / "kept")
+    (run / "prediction.json").unlink()
+    (run / "evaluation-train.json").write_text(json.dumps({"gradient_steps": 100}))
+    with pytest.raises(ValueError, match=r"is of step 100, the run is at step 200: run agents\.evaluate again"):
+        keep([run], "reference", tmp_path / "kept")
+
+
+def test_two_runs_of_one_name_are_not_kept_in_one_folder(trained, tmp_path):
+    run = trained("dadt")
+    other = tmp_path / "elsewhere" / run.name
+    shutil.copytree(run, other)
+    with pytest.raises(ValueError, match=f"two of the runs are called {run.name}"):
+        keep([run, other], "reference", tmp_path / "kept")
+    assert not (tmp_path / "kept").exists()
 
 
 @pytest.mark.parametrize("commit", ["a" * 40 + "-dirty", None])
@@ -72,7 +86,9 @@ def test_only_finished_runs_are_kept(trained, tmp_path):
     run = trained("dadt", steps=300)
     with pytest.raises(ValueError, match="is at step 200 of 300: train it to the end first"):
         keep([run], "reference", tmp_path / "kept")
-    (run / "evaluation.json").write_text(json.dumps({"stopped_early": True}))
+    # a run may stop between two points of its curve: its errors are then of the step at which it did
+    (run / "evaluation.json").write_text(json.dumps({"stopped_early": True, "gradient_steps": 250}))
+    (run / "prediction.json").write_text(json.dumps({"gradient_steps": 250}))
     assert keep([run], "reference", tmp_path / "kept")
 
 

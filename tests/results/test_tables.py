@@ -13,6 +13,8 @@ def test_the_papers_budget_in_hours_and_kilowatt_hours():
     found = tables.cost({"dadt": 0.36})
     # 1M steps of 0.36 s are 100 hours; 25 such runs 2,500; at 360 W / 96 cores 9.375 kWh
     assert cells(found, 2) == ["dadt", "0.360", "100", "2,500", "100", "9.4"]
+    two = tables.cost({"merpo": 0.36, "merpo, last phase": 0.72})  # half of the steps in each phase
+    assert [cells(two, 2), len(two.splitlines())] == [["merpo", "0.540", "150", "3,750", "150", "14.1"], 3]
 
 
 def test_time_and_energy_of_a_run_are_means_over_its_seeds(trained, tmp_path):
