@@ -157,9 +157,11 @@ def choose_steps(folder: Path, settings: AdaptationSettings, points: Sequence[in
     """Measure and print the returns after each number of steps, in held-out train dynamics; returns the CSV file.
 
     Raises:
-        FileNotFoundError, ValueError, FloatingPointError: as `adapt`; or the run held out no dynamics, or its agent
-            takes no steps.
+        FileNotFoundError, ValueError, FloatingPointError: as `adapt`; or the run held out no dynamics, its agent takes
+            no steps, or the settings say how many.
     """
+    if settings.steps is not None:
+        raise ValueError(f"steps is {settings.steps}, and the curve has a point after each of {points}: leave it out")
     run, path, parts = TrainedRun.read(folder), folder / ADAPTATION_CURVE, folder / "adaptation-curve"
     check_takes_steps(run)
     names = held_out_names(run)

@@ -14,10 +14,11 @@ import rich
 import rich.table
 import tyro
 
+from agents import AGENTS
 from agents.fine_tuning import TrainedRun
 from agents.interface import Agent, Fitted
 from agents.learner import Learner
-from agents.run_folder import LEARNED, write_json
+from agents.run_folder import LEARNED, locked, read_finished, write_json
 from agents.threads import use_threads
 from agents.validation import set_apart
 from dynagen_bench import ids
@@ -38,7 +39,14 @@ def measure_learning(folder: Path, dynamics: int | None = None) -> dict[str, Any
         FileNotFoundError: the folder is no finished run, or the agent needs data that are not here.
         ValueError: the run is of a predictor, or there are not so many dynamics.
     """
-    run = TrainedRun.read(folder)
+    read_finished(folder, AGENTS)  # a folder that is no run gets no lock
+    with locked(folder):  # from the checkpoint that is measured to the file that says so, nobody trains it on
+        record = _measured(TrainedRun.read(folder), dynamics)
+        write_json(folder / LEARNED, record)
+    return record
+
+
+def _measured(run: TrainedRun, dynamics: int | None) -> dict[str, Any]:
     robot, seed = run.checkpoint.spec.robot, run.checkpoint.seed
     names = ids.choose_ids(robot, "train", None if dynamics is None else range(dynamics))
     trained, untrained = run.checkpoint.build_agent(), _untrained(run)
@@ -51,7 +59,7 @@ def measure_learning(folder: Path, dynamics: int | None = None) -> dict[str, Any
         what: evaluate(policy, robot, "train", indices=[name.index for name in names], traces=False, progress=True)
         for what, policy in policies.items()
     }
-    record = {
+    return {
         "agent": run.checkpoint.agent,
         "robot": robot,
         "seed": seed,
@@ -60,8 +68,6 @@ def measure_learning(folder: Path, dynamics: int | None = None) -> dict[str, Any
         "dynamics": [name.label for name in names],
         **{what: evaluation.returns.mean(axis=1).tolist() for what, evaluation in returns.items()},
     }
-    write_json(folder / LEARNED, record)
-    return record
 
 
 def _untrained(run: TrainedRun) -> object:
@@ -107,6 +113,8 @@ def main(arguments: list[str] | None = None) -> None:
         rich.print(tyro.cli(_command, prog="python -m agents.evaluate", args=arguments))
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit("stopped: the runs that were measured have their results; give the command again for the others")
 
 
 if __name__ == "__main__":

@@ -72,18 +72,19 @@ class AdaptationSettings:
         """These with what is left out filled in for an agent of that config.
 
         Raises:
-            ValueError: steps are asked for of an agent that is given data and takes none.
+            ValueError: steps, or how to take them, are asked for of an agent that is given data and takes none.
         """
         own: dict[str, Any] = {"steps": 2000, **PAPER}
         if isinstance(agent, ForTask):
             own |= {field: getattr(config, field) for field in PAPER}
         if isinstance(agent, Contextual):
             own["steps"] = 0
-            if self.steps:
-                raise ValueError(
-                    f"steps is {self.steps}, and the agent is told the dynamics by data and takes no gradient step "
-                    "there: leave out --steps"
-                )
+            for field, value in own.items():
+                if getattr(self, field) not in (None, value):
+                    raise ValueError(
+                        f"{field} is {getattr(self, field)}, and the agent is told the dynamics by data and takes no "
+                        f"gradient step there: leave out --{field.replace('_', '-')}"
+                    )
         return dataclasses.replace(self, **{k: value for k, value in own.items() if getattr(self, k) is None})
 
 

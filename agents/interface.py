@@ -125,6 +125,14 @@ class Agent(Trainable, Protocol):
 
 
 @runtime_checkable
+class Memoryless(Agent, Protocol):
+    """Acts by the present state alone: what the episode has shown before, it is not told."""
+
+    memoryless: bool
+    """True; whoever remembers something of the episode has no such attribute."""
+
+
+@runtime_checkable
 class Contextual(Agent, Protocol):
     """Is told the dynamics by data of it, and takes no gradient steps there."""
 

@@ -190,6 +190,8 @@ def main(arguments: list[str] | None = None) -> None:
         tyro.cli(predict, prog="python -m agents.predict", args=arguments)
     except (ValueError, OSError, FloatingPointError) as error:
         sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit("stopped: the runs that were measured have their results; give the command again for the others")
 
 
 if __name__ == "__main__":

@@ -94,8 +94,7 @@ def submit(
             commit=commits[0] if len(set(commits)) == 1 else None,
             track=track,
             checkpoint=checkpoint,
-            # all agents see the last K steps of the episode; who was fine-tuned has seen more
-            privileged="own-history" if track == "zero-shot" else "offline-context",
+            privileged=_privileged(agent, track),
             hardware=hardware or f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
             hours=sum(record["hours"] for record in records),
             versions=_the_same("versions", [record["versions"] for record in records]),
@@ -107,6 +106,13 @@ def submit(
     except pydantic.ValidationError as error:
         raise ValueError(f"not a submission: {first_error(error)}") from error
     return write_submission(output, submission, [run.traces for run in found])
+
+
+def _privileged(agent: str, track: Track) -> Literal["none", "own-history", "offline-context"]:
+    """What an agent of `AGENTS` knows of a body: of the episode so far at most, and fine-tuned what its data tell."""
+    if track == "adaptation":
+        return "offline-context"
+    return "none" if hasattr(AGENTS[agent][1], "memoryless") else "own-history"
 
 
 def _read_run(folder: Path, checkpoint: str, track: Track) -> FinishedRun:

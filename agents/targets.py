@@ -57,7 +57,7 @@ def measure_targets(folder: Path, targets: Sequence[float] = ()) -> dict[float, 
             means = evaluate(agent.policy(), robot, "train", indices=indices, traces=False).returns.mean(axis=1)
             found[target] = {name.label: float(mean) for name, mean in zip(names, means, strict=True)}
             bars.advance(bar)
-        write_curve(folder / TARGET_CURVE, "target_return", [*found], _by_dynamics(found))
+            write_curve(folder / TARGET_CURVE, "target_return", [*found], _by_dynamics(found))
     return found
 
 
@@ -99,6 +99,8 @@ def main(arguments: list[str] | None = None) -> None:
         tyro.cli(_command, prog="python -m agents.targets", args=arguments)
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit("stopped: target-curve.csv has the targets that were measured; name the others with --targets")
 
 
 if __name__ == "__main__":

@@ -168,12 +168,6 @@ def _run(
             learner.seconds = before + time.monotonic() - started
             step, done = learner.step, learner.step == steps
             report(step)
-            if done or step % settings.log_every == 0:
-                means = mean_of_each(recent)
-                rate = learner.config.learning_rate_at(step - 1)
-                curves.add(step, {**means, "learning_rate": rate, "seconds": learner.seconds})
-                recent.clear()
-                bars.update(bar, completed=step, note=f"loss {means['loss']:.4f}")
             if done or (settings.evaluate_every and step % settings.evaluate_every == 0):
                 bars.update(bar, note="evaluating")
                 if validation is not None:
@@ -181,6 +175,12 @@ def _run(
                 done = done or has_stalled(curves.points("validation_return"), settings.patience)
                 if not done:
                     curves.add(step, record(official=False))
+            if done or step % settings.log_every == 0:
+                means = mean_of_each(recent)
+                rate = learner.config.learning_rate_at(step - 1)
+                curves.add(step, {**means, "learning_rate": rate, "seconds": learner.seconds})
+                recent.clear()
+                bars.update(bar, completed=step, note=f"loss {means['loss']:.4f}")
             if done or step % settings.checkpoint_every == 0:
                 curves.save()
                 save_checkpoint(folder / "last.safetensors", learner.checkpoint())

@@ -157,6 +157,9 @@ class Imagined(NamedTuple):
 class MerPO(nn.Module):
     """Models, critics, policies and behaviour policies of M dynamics, a meta-model and a meta-policy."""
 
+    memoryless: Final = True
+    """See `interface.Memoryless`."""
+
     def __init__(
         self, config: MerPOConfig, spec: RobotSpec, generator: torch.Generator, *, adapting: bool = False
     ) -> None:

@@ -23,6 +23,7 @@ from tests.agents.samples import hopper_spec, new_agent, random_dataset, tiny_co
 from tests.agents.test_train import settings
 
 FAST = AdaptationSettings(steps=3, learning_rate=0.01, batch_size=4, episodes=2)
+POINTS = dataclasses.replace(FAST, steps=None)
 TEST0 = ids.make_id("Hopper", "test", 0)
 
 
@@ -162,7 +163,7 @@ def test_the_curve_is_of_held_out_train_dynamics_and_sees_no_test_data(held_out,
     for folder in (tiny_data / "dynagen" / "Hopper-RandDyn").glob("train*"):
         (place / folder.name).symlink_to(folder)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(only_train))
-    with choose_steps(run, FAST, points=(0, 2)).open(newline="") as file:
+    with choose_steps(run, POINTS, points=(0, 2)).open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["steps"] for row in rows] == ["0", "2"]
     agent = load_checkpoint(run / "last.safetensors").build_agent()
@@ -177,7 +178,7 @@ def test_the_curve_is_of_held_out_train_dynamics_and_sees_no_test_data(held_out,
 
 
 def test_a_curve_that_was_stopped_goes_on_with_the_dynamics_it_was_at(held_out, tiny_data, monkeypatch):
-    whole = choose_steps(held_out, FAST, points=(0, 2)).read_bytes()
+    whole = choose_steps(held_out, POINTS, points=(0, 2)).read_bytes()
     (held_out / "adaptation-curve.csv").unlink()
     update, taken = Learner.update, []
 
@@ -189,11 +190,11 @@ def test_a_curve_that_was_stopped_goes_on_with_the_dynamics_it_was_at(held_out, 
 
     monkeypatch.setattr(Learner, "update", stopped)
     with pytest.raises(KeyboardInterrupt):
-        choose_steps(held_out, FAST, points=(0, 2))
+        choose_steps(held_out, POINTS, points=(0, 2))
     assert [file.name for file in (held_out / "adaptation-curve").iterdir()] == ["train18.json"]
-    assert choose_steps(held_out, FAST, points=(0, 2)).read_bytes() == whole
+    assert choose_steps(held_out, POINTS, points=(0, 2)).read_bytes() == whole
     assert len(taken) == 4 + 2
-    choose_steps(held_out, dataclasses.replace(FAST, seed=1), points=(0, 2))
+    choose_steps(held_out, dataclasses.replace(POINTS, seed=1), points=(0, 2))
     assert len(taken) == 4 + 2 + 4  # nothing is left of the other curve
     assert not (held_out / "adaptation-curve").exists()
 
@@ -226,6 +227,11 @@ def at_step(run, step):
             lambda run: edited(run, lambda c: c["settings"].update(robot="Ant")),
             [],
             "is of robot 'Hopper', not 'Ant'",
+        ),
+        (
+            lambda run: None,
+            ["--curve", "--steps", "7"],
+            "steps is 7, and the curve has a point after each of (0, 100, ",
         ),
         (lambda run: None, ["--curve"], "held out no train dynamics: train one with --hold-out"),
         (lambda run: None, [], "no data of Hopper-RandDyn-test0"),
@@ -265,7 +271,11 @@ def test_an_agent_that_is_told_dynamics_by_data_is_given_them_and_takes_no_step(
         ValueError, match=r"^steps is 3, and the agent is told the dynamics by data .* leave out --steps$"
     ):
         adapt(folder, FAST)
-    result = adapt(folder, dataclasses.replace(FAST, steps=None))
+    with pytest.raises(
+        ValueError, match=r"^learning_rate is 0\.01, and .* no gradient step .* leave out --learning-rate$"
+    ):
+        adapt(folder, POINTS)
+    result = adapt(folder, AdaptationSettings(episodes=2))
     record, adapted = json.loads(result.read_text()), read_result(result)
     assert record["gradient_steps"] == record["trained_steps"] == 2
     agent = load_checkpoint(folder / "last.safetensors").build_agent()
@@ -276,7 +286,7 @@ def test_an_agent_that_is_told_dynamics_by_data_is_given_them_and_takes_no_step(
     with pytest.raises(
         ValueError, match="is of 'focal', which is told the dynamics by data and takes no gradient step"
     ):
-        choose_steps(folder, FAST, points=(0, 2))
+        choose_steps(folder, POINTS, points=(0, 2))
 
 
 def test_an_agent_with_parts_for_each_dynamics_gets_some_for_the_new_one_at_its_own_rate(tmp_path, tiny_data):

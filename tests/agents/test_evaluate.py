@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from agents.checkpoint import load_checkpoint
-from agents.evaluate import main, measure_learning
+from agents.evaluate import main as evaluate_command
+from agents.evaluate import measure_learning
 from agents.focal import FOCALConfig
-from agents.run_folder import LEARNED
+from agents.predict import main as predict_command
+from agents.run_folder import LEARNED, locked
 from agents.train import train
 from agents.trajectory_transformer import TrajectoryTransformerConfig
 from dynagen_bench.datasets import load_dataset
@@ -50,7 +52,7 @@ def test_the_untrained_are_fitted_to_what_the_trained_were(tmp_path):
 def test_the_numbers_are_those_of_evaluate(tmp_path, capsys):
     config = dataclasses.replace(CONFIGS["dadt"], steps=3, learning_rate=0.01)
     run = train("dadt", config, settings(tmp_path, seed=3, evaluate_every=0), load_dataset("Hopper", "train"))
-    main([str(run), "--dynamics", "1"])
+    evaluate_command([str(run), "--dynamics", "1"])
     record = json.loads((run / LEARNED).read_text())
     agent = load_checkpoint(run / "last.safetensors").build_agent()
     for what, policy in (("trained", agent.policy()), ("random", RandomPolicy("Hopper", 3))):
@@ -59,8 +61,27 @@ def test_the_numbers_are_those_of_evaluate(tmp_path, capsys):
     assert "dadt, Hopper, seed 3" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("tiny_data")
+def test_nobody_trains_a_run_on_while_it_is_measured(tmp_path):
+    run = train("dadt", CONFIGS["dadt"], settings(tmp_path, evaluate_every=0), load_dataset("Hopper", "train"))
+    with locked(run), pytest.raises(ValueError, match="another process works in"):
+        measure_learning(run, dynamics=1)
+    assert not (run / LEARNED).exists()
+
+
+@pytest.mark.parametrize("command", [evaluate_command, predict_command])
+def test_an_interruption_is_one_line(command, tmp_path, monkeypatch):
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    for what in ("agents.evaluate.measure_learning", "agents.predict.read_run"):
+        monkeypatch.setattr(what, stopped)
+    with pytest.raises(SystemExit, match=r"^stopped: .* for the others$"):
+        command([str(tmp_path)])
+
+
 def test_bad_input_is_one_line(tmp_path):
     with pytest.raises(SystemExit, match=r"error: .* is no finished run"):
-        main([str(tmp_path)])
+        evaluate_command([str(tmp_path)])
     with pytest.raises(SystemExit, match=r"^error: threads is -1: give a whole number from 0 on$"):
-        main([str(tmp_path), "--threads", "-1"])
+        evaluate_command([str(tmp_path), "--threads", "-1"])

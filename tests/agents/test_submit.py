@@ -6,10 +6,11 @@ import json
 import numpy as np
 import pytest
 
+from agents import AGENTS
 from agents.adapt import adapt
 from agents.fine_tuning import PAPER, AdaptationSettings
 from agents.run_folder import RunSettings
-from agents.submit import main, submit
+from agents.submit import _privileged, main, submit
 from agents.train import train
 from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.evaluation.submission import read_submission
@@ -97,6 +98,11 @@ def test_what_does_not_belong_together_is_refused_in_one_line(tmp_path):
             submit(runs, tmp_path / "out", authors)
         assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_who_acts_by_the_present_state_alone_knows_nothing_of_the_body():
+    assert {name for name in AGENTS if _privileged(name, "zero-shot") == "none"} == {"merpo"}
+    assert {_privileged(name, "zero-shot") for name in AGENTS} == {"none", "own-history"}
 
 
 def test_what_was_fine_tuned_is_a_submission_of_the_other_track(tmp_path, tiny_data):

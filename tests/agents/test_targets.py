@@ -53,6 +53,22 @@ def test_the_command_asks_for_shares_of_the_best_that_the_train_data_show(run, m
     assert f"{run.name}: return in held-out" in " ".join(capsys.readouterr().out.split())
 
 
+def test_an_interruption_loses_no_target_that_was_measured(run, monkeypatch):
+    measured = []
+
+    def stopped(*arguments, **options):
+        if measured:
+            raise KeyboardInterrupt
+        measured.append(1)
+        return evaluate(*arguments, **options)
+
+    monkeypatch.setattr("agents.targets.evaluate", stopped)
+    with pytest.raises(SystemExit, match=r"^stopped: target-curve\.csv has the targets that were measured"):
+        main([str(run), "--targets", "50", "100"])
+    with (run / "target-curve.csv").open() as file:
+        assert [line["target_return"] for line in csv.DictReader(file)] == ["50.0"]
+
+
 def test_what_has_no_target_to_choose_is_said_in_one_line(run, tmp_path, tiny_data):
     with pytest.raises(SystemExit, match=r"^error: no runs given: name at least one run folder$"):
         main([])

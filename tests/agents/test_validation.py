@@ -106,6 +106,12 @@ def test_a_run_stops_early_and_says_so_and_is_the_same_when_it_was_killed(tmp_pa
     assert [row["step"] for row in curves(train("dt", config, cut, dataset))] == ["2", "4", "6"]
 
 
+def test_a_run_that_stops_between_two_lines_of_its_curve_has_the_last_one_too(tmp_path):
+    config = tiny_config("dt", learning_rate=0.0)
+    folder = train("dt", config, stopping(tmp_path, log_every=4, checkpoint_every=8), dataset_of(0, 19))
+    assert [row["step"] for row in curves(folder) if row["loss"]] == ["4", "6"]
+
+
 def test_a_run_that_stopped_goes_on_when_it_is_told_to(tmp_path):
     dataset, config = dataset_of(0, 19), tiny_config("dt", learning_rate=0.0, steps=8)
     folder = train("dt", config, stopping(tmp_path), dataset)
