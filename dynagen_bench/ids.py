@@ -100,6 +100,15 @@ def check_index(split: str, index: int) -> int:
     return number
 
 
+def check_indices(split: str, indices: Sequence[int]) -> list[int]:
+    """Return `indices` as plain ints; raise ValueError if they are no list of numbers of a split's dynamics."""
+    try:
+        given = list(indices)
+    except TypeError:
+        raise ValueError(f"indices is {indices!r}: give a list of whole numbers, as [0, 3]") from None
+    return [check_index(split, index) for index in given]
+
+
 def make_id(robot: str, split: str, index: int) -> DynamicsId:
     """Return the checked id of one dynamics; raises ValueError as the `check_` functions do."""
     return DynamicsId(check_robot(robot), check_split(split), check_index(split, index))
@@ -113,7 +122,8 @@ def choose_ids(robot: str, split: str, indices: Sequence[int] | None = None) -> 
     """
     check_robot(robot)
     size = SPLIT_SIZES[check_split(split)]
-    names = [make_id(robot, split, index) for index in (range(size) if indices is None else indices)]
+    chosen = range(size) if indices is None else check_indices(split, indices)
+    names = [make_id(robot, split, index) for index in chosen]
     if not names or len(set(names)) != len(names):
         given = [name.index for name in names]
         raise ValueError(f"indices {given} name no dynamics or one twice: give at least one, and none twice")

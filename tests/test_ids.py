@@ -66,3 +66,9 @@ def test_parsing_any_text_gives_an_id_or_a_value_error(text):
         except ValueError:
             continue
         assert text in (name.env_id, name.dataset_id, name.label)
+
+
+@pytest.mark.parametrize("given", [3, 2.5, True])
+def test_indices_are_a_list(given):
+    with pytest.raises(ValueError, match=rf"^indices is {given!r}: give a list of whole numbers, as \[0, 3\]$"):
+        ids.choose_ids("Hopper", "train", given)

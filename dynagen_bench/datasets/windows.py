@@ -67,8 +67,11 @@ class WindowSampler:
         self.normalization = normalization
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> Windows:
-        """Draw `batch_size` = B windows."""
-        return self.windows_at(rng.integers(self.dataset.num_steps, size=batch_size))
+        """Draw `batch_size` = B windows; raises ValueError if that is no whole number from 1 on."""
+        size = ids.whole_number(batch_size)
+        if size is None or size < 1:
+            raise ValueError(f"batch_size is {batch_size!r}: give a whole number from 1 on")
+        return self.windows_at(rng.integers(self.dataset.num_steps, size=size))
 
     def windows_at(self, steps: NDArray[np.int64]) -> Windows:
         """The windows that begin at steps (B,), counted through all episodes in order."""

@@ -8,6 +8,7 @@ either nothing or N. It must not know MuJoCo, Gymnasium, dynamics or episodes.
 import dataclasses
 import functools
 import math
+import numbers
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
@@ -42,7 +43,11 @@ def height_healthy(rules: "Rules", states: Array) -> Flags:
 
 @dataclasses.dataclass(frozen=True)
 class Rules:
-    """The numbers of one robot's task; fields that Gymnasium's v5 robot has too keep its name and meaning."""
+    """The numbers of one robot's task; fields that Gymnasium's v5 robot has too keep its name and meaning.
+
+    Raises:
+        ValueError: a flag is none, a number is not finite, or a range is none or empty.
+    """
 
     healthy: Healthy = always_healthy
     """Which states are healthy: called as `rules.healthy(rules, states)`."""
@@ -75,6 +80,22 @@ class Rules:
     normal_velocity_noise: bool = False
     """The first velocities are scale · Normal(0, 1) and not Uniform(−scale, scale), m/s and rad/s."""
 
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value, default = getattr(self, field.name), field.default
+            if isinstance(default, bool):
+                fits, wanted = isinstance(value, bool | np.bool_), "True or False"
+            elif isinstance(default, tuple):
+                fits, wanted = _is_range(value), "two numbers, the lower one first, as (0.7, inf)"
+            elif field.name == "velocity_limit":
+                fits, wanted = _is_number(value) and value > 0, "a number above 0, inf for no limit"
+            elif field.name == "reset_noise_scale":
+                fits, wanted = _is_number(value) and 0 <= value < math.inf, "a finite number from 0 on"
+            else:
+                fits, wanted = callable(default) or (_is_number(value) and math.isfinite(value)), "a finite number"
+            if not fits:
+                raise ValueError(f"{field.name} is {value!r}: give {wanted}")
+
     def upright_range(self, size: int) -> tuple[Array, Array]:
         """Lowest and highest healthy state of a planar robot, two arrays (X,), X = `size`; made once, then kept.
 
@@ -92,6 +113,15 @@ class Rules:
     @functools.cached_property
     def _upright_ranges(self) -> dict[int, tuple[Array, Array]]:
         return {}
+
+
+def _is_number(value: Any) -> bool:
+    return not isinstance(value, bool) and isinstance(value, numbers.Real) and not math.isnan(value)
+
+
+def _is_range(value: Any) -> bool:
+    """Two numbers in order, in a tuple, or in a list, which it is after JSON."""
+    return isinstance(value, tuple | list) and len(value) == 2 and all(map(_is_number, value)) and value[0] < value[1]
 
 
 RANGES: Final = ("healthy_state_range", "healthy_z_range", "healthy_angle_range")

@@ -84,7 +84,8 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
             kwargs: fields of `Rules` that act in this robot, and Gymnasium's rendering arguments.
 
         Raises:
-            ValueError: an unknown split, index or element, or `dynamics` beside `split` or `index`.
+            ValueError: an unknown split, index or element, a keyword's value that is none, or `dynamics` beside `split`
+                or `index`.
             TypeError: an unknown keyword, or one that would not act.
         """
         self.rules, base = keywords(type(self), kwargs)
@@ -254,6 +255,7 @@ def keywords(robot_class: type[RandomDynamics], given: Mapping[str, Any]) -> tup
 
     Raises:
         TypeError: an unknown keyword, or one that would not act in this robot.
+        ValueError: the value of one is of another kind, or makes no sense.
     """
     rule_names = keyword_fields(robot_class.default_rules)
     unknown = sorted(set(given) - set(rule_names) - set(RENDER_KEYWORDS))

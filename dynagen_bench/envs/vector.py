@@ -108,6 +108,10 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
             )
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode is {render_mode!r}: choose from {', '.join(self.metadata['render_modes'])}")
+        modes = [mode.value for mode in AutoresetMode]
+        if autoreset_mode not in (*AutoresetMode, *modes):
+            raise ValueError(f"autoreset_mode is {autoreset_mode!r}: choose from {', '.join(modes)}")
+        mode = AutoresetMode(autoreset_mode)
         self.num_envs = num_envs = count
         own = _as_list(dynamics)
         self._choice = _choose(num_envs, split, index, indices, own)
@@ -126,7 +130,7 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         self._tendons = [self.physics.bind(f"ten_{x}") for x in ("length", "velocity")] if self._single.tendons else []
         self.metadata = {
             **self.metadata,
-            "autoreset_mode": AutoresetMode(autoreset_mode),
+            "autoreset_mode": mode,
             "render_fps": self._single.metadata["render_fps"],
         }
         self.render_mode = render_mode
@@ -365,7 +369,7 @@ def _choose(
     if indices is not None:
         if index != SPREAD:
             raise ValueError("give either index= or indices=, not both")
-        return _repeated("indices", [ids.check_index(split, i) for i in indices], num_envs)
+        return _repeated("indices", ids.check_indices(split, indices), num_envs)
     if isinstance(index, str):
         if index != SPREAD:
             raise ValueError(f"index is {index!r}: give a number, None, or {SPREAD!r}")

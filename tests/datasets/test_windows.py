@@ -167,6 +167,13 @@ def test_bad_arguments(data, context, normalization, message):
         WindowSampler(data, context, normalization)
 
 
+@pytest.mark.parametrize("size", [-1, 0, 1.5, None])
+def test_a_batch_is_a_whole_number_of_windows(size):
+    sampler = WindowSampler(three_step_episodes(), 2, PLAIN)
+    with pytest.raises(ValueError, match=f"batch_size is {size!r}: give a whole number from 1 on"):
+        sampler.sample(size, np.random.default_rng(0))
+
+
 @pytest.mark.parametrize("context", [2.5, "20", True])
 def test_a_context_is_a_whole_number(context):
     with pytest.raises(ValueError, match=f"context is {context!r}: give a whole number of steps from 1 on"):

@@ -105,6 +105,38 @@ def test_bad_keywords_end_in_one_line(keywords, error, message):
 
 
 @pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"terminate_when_unhealthy": "False"}, "terminate_when_unhealthy is 'False': give True or False"),
+        (
+            {"healthy_z_range": (2, 1)},
+            r"healthy_z_range is \(2, 1\): give two numbers, the lower one first",
+        ),
+        ({"healthy_z_range": 5}, "healthy_z_range is 5: give two numbers"),
+        ({"healthy_angle_range": (float("nan"), 1.0)}, r"healthy_angle_range is \(nan, 1\.0\): give two"),
+        ({"healthy_reward": float("nan")}, "healthy_reward is nan: give a finite number"),
+        ({"ctrl_cost_weight": "0"}, "ctrl_cost_weight is '0': give a finite number"),
+        ({"reset_noise_scale": -1}, "reset_noise_scale is -1: give a finite number from 0 on"),
+        ({"velocity_limit": 0.0}, r"velocity_limit is 0\.0: give a number above 0, inf for no limit"),
+    ],
+)
+def test_the_value_of_a_keyword_is_what_it_has_to_be(keywords, message):
+    for make in (gymnasium.make, gymnasium.make_vec):
+        with pytest.raises(ValueError, match=message):
+            make("Hopper-RandDyn-v0", **keywords)
+
+
+def test_keywords_may_come_out_of_json_and_numpy():
+    env = gymnasium.make(
+        "Hopper-RandDyn-v0", healthy_z_range=[0.5, float("inf")], healthy_reward=np.float32(2), index=0
+    )
+    again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    for one in (env, again):
+        one.reset(seed=0)
+        assert one.step(np.zeros(3))[4]["reward_survive"] == 2.0
+
+
+@pytest.mark.parametrize(
     ("robot", "keyword", "value"),
     [
         ("HalfCheetah", "healthy_z_range", (0.2, 1.0)),

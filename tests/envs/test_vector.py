@@ -257,7 +257,12 @@ def test_an_unstable_step_is_that_of_the_single_environment(robot, speed, mode, 
         ({"dynamics": [Dynamics(), {}]}, ValueError, r"give dynamics\.to_json\(\)"),
         ({"dynamics": 3}, ValueError, "unknown dynamics parameter 3: choose from body_mass"),
         ({"dynamics": "heavy"}, ValueError, "unknown dynamics parameter 'heavy': choose from body_mass"),
-        ({"autoreset_mode": "Sometimes"}, ValueError, "Sometimes"),
+        (
+            {"autoreset_mode": "nextstep"},
+            ValueError,
+            "autoreset_mode is 'nextstep': choose from NextStep, SameStep, Disabled",
+        ),
+        ({"indices": 3}, ValueError, r"indices is 3: give a list of whole numbers, as \[0, 3\]"),
         (
             {"max_episode_steps": 0},
             ValueError,
