@@ -115,6 +115,11 @@ def claims(
             "Section 5.2",
             _compared("DADT > MerPO, adapted", zero["DADT"], adapted["MerPO"]),
         ),
+        _all(
+            "Fine-tuning DADT for a dynamics makes it act better there",
+            "Table 1, but for SlimHumanoid",
+            _compared("DADT, adapted > DADT", adapted["DADT"], zero["DADT"]),
+        ),
         _all("Predicting next states makes a Decision Transformer act better", "Table 2", _than(zero, "DADT", "DT")),
         _all(
             "Conditioning on returns acts better than cloning",

@@ -177,6 +177,14 @@ def test_low_quality_scores_are_compared_in_the_same_dynamics(trained, tmp_path)
         kept_scores("low-quality", tmp_path / "kept")
 
 
+def test_fine_tuning_is_compared_with_the_same_agent_without_it():
+    zero, adapted = entry("dadt-zero-shot-last", [60.0, 70.0, 80.0]), entry("dadt-adaptation-last", [90.0, 91.0, 92.0])
+    claim = "Fine-tuning DADT for a dynamics makes it act better there"
+    found = verdicts([zero, adapted])[claim]
+    assert (found.verdict, found.evidence[0].what) == ("holds", "DADT, adapted > DADT")
+    assert verdicts([zero])[claim].verdict == "not run"
+
+
 def test_adapted_focal_is_no_part_of_the_papers_claim():
     found = verdicts()["DADT acts best after adaptation"]
     assert [one.what for one in found.evidence] == ["DADT > MerPO", "DADT > Trajectory Transformer"]
