@@ -58,5 +58,8 @@ class Executor(Protocol):
     def wait(self) -> list[Event]:
         """What has happened since the last call; waits a moment if nothing has."""
 
+    def forget(self, job: Job) -> None:
+        """What a job has made is recorded: nothing need be kept of it elsewhere."""
+
     def close(self) -> None:
         """End all that run."""

@@ -57,6 +57,9 @@ class LocalProcesses:
                 events.append(Ended(key, attempt.close(), seconds=seconds, host=socket.gethostname()))
         return events
 
+    def forget(self, job: Job) -> None:
+        """Nothing is kept elsewhere."""
+
     def close(self) -> None:
         """End all that run."""
         for attempt, _ in self._running.values():

@@ -161,6 +161,7 @@ class _Run:
         if error is None:
             about = {"attempts": self.attempts[job.key], "seconds": round(ended.seconds, 1)}
             files.finish({**about, "executor": self._executor.kind, "host": ended.host})
+            self._executor.forget(job)
             self._table.end(job.name, "done")
             return
         words = files.last_words()

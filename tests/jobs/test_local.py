@@ -110,7 +110,7 @@ from dynagen_bench.jobs import run_jobs
 from tests.jobs.test_local import chain
 folder = Path(sys.argv[1])
 jobs = [chain(folder / "journal", f"job{{i}}", {steps}, {seconds}) for i in range({count})]
-run_jobs(jobs, folder, processes=2)
+run_jobs(jobs, folder, processes=2, ray={ray!r})
 """
 
 
@@ -120,7 +120,7 @@ def runner(folder, **what):
     folder.mkdir(exist_ok=True)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(
-        [sys.executable, "-c", RUN.format(**what), str(folder)],
+        [sys.executable, "-c", RUN.format(**{"ray": None} | what), str(folder)],
         start_new_session=True,
         env=environment,
         stderr=subprocess.PIPE,
