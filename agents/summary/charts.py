@@ -12,6 +12,9 @@ from agents.summary.intervals import Estimate, estimate
 POINTS: Final = 200
 """Of a longer curve, neighbours are averaged until it has no more points than this."""
 
+DASH: Final = 3.0
+"""Half the width of what shows a single point."""
+
 DECADES: Final = 20.0
 """An axis is logarithmic where the highest value is this many times the lowest."""
 
@@ -86,18 +89,32 @@ def scale_of(curves: Iterable[Sequence[Point]], may_bend: bool) -> Scale:
 
 
 def line(curve: Sequence[Point], x: Scale, y: Scale) -> str:
-    """The means as the points of an SVG polyline."""
-    return " ".join(_place(point.step, point.value.mean, x, y) for point in curve)
+    """The means as the points of an SVG polyline, at its step of a single one a dash."""
+    places = _places([x.at(point.step) for point in curve])
+    means = [point.value.mean for point in curve] * (len(places) // len(curve))
+    return " ".join(_at(place, mean, y) for place, mean in zip(places, means, strict=True))
 
 
 def band(curve: Sequence[Point], x: Scale, y: Scale) -> str | None:
-    """The intervals as the points of an SVG polygon: high ends from left to right, low ends back."""
+    """The intervals as the points of an SVG polygon: high ends from left to right, low ends back; a bar if it is one.
+
+    None where there is no interval.
+    """
     ends = [(point.step, point.value.interval) for point in curve if point.value.interval is not None]
-    if len(ends) < 2:
+    if not ends:
         return None
-    highs = [_place(step, interval[1], x, y) for step, interval in ends]
-    return " ".join([*highs, *(_place(step, interval[0], x, y) for step, interval in reversed(ends))])
+    places = _places([x.at(step) for step, _ in ends])
+    shown = list(zip(places, [interval for _, interval in ends] * (len(places) // len(ends)), strict=True))
+    highs = [_at(place, interval[1], y) for place, interval in shown]
+    return " ".join([*highs, *(_at(place, interval[0], y) for place, interval in reversed(shown))])
 
 
-def _place(step: int, value: float, x: Scale, y: Scale) -> str:
-    return f"{x.at(step):g},{round(100 - y.at(value), 2):g}"
+def _places(places: Sequence[float]) -> list[float]:
+    """The same, but for a single one, of which nothing would be drawn: its left and its right."""
+    if len(places) > 1:
+        return list(places)
+    return [max(places[0] - DASH, 0.0), min(places[0] + DASH, 100.0)]
+
+
+def _at(place: float, value: float, y: Scale) -> str:
+    return f"{place:g},{round(100 - y.at(value), 2):g}"

@@ -3,6 +3,7 @@
 What is here: `Run`, `Group`, `read_runs` and `grouped`. Called by the builder. It must not know how anything looks.
 """
 
+import collections
 import csv
 import dataclasses
 import json
@@ -110,13 +111,19 @@ def _read_curves(path: Path) -> dict[str, Curve]:
 
 
 def grouped(runs: Sequence[Run]) -> list[Group]:
-    """The groups of runs, by robot, agent and what else tells them apart."""
-    together: dict[str, list[Run]] = {}
-    for run in runs:
-        together.setdefault(json.dumps(run.facts, sort_keys=True), []).append(run)
-    every = [sorted(some, key=lambda run: (run.seed, run.name)) for some in together.values()]
+    """The groups of runs, by robot, agent and what else tells them apart.
+
+    A seed counts once: runs that have the seed of another one, and all else too, are a group of their own, `again`.
+    """
+    together: dict[tuple[str, int], list[Run]] = {}
+    times: collections.Counter[tuple[str, int]] = collections.Counter()
+    for run in sorted(runs, key=lambda run: (run.seed, run.name)):
+        kind = json.dumps(run.facts, sort_keys=True)
+        together.setdefault((kind, times[kind, run.seed]), []).append(run)
+        times[kind, run.seed] += 1
+    every = list(together.values())
     groups = []
-    for some in every:
+    for (_, again), some in together.items():
         facts = some[0].facts
         rivals = [other[0].facts for other in every if _kind(other[0].facts) == _kind(facts)]
         differing = [
@@ -125,7 +132,8 @@ def grouped(runs: Sequence[Run]) -> list[Group]:
             if len({str(one.get(key)) for one in rivals}) > 1
         ]
         told = [f"{key.replace('_', '-')} {_plain(facts[key])}" for key in differing if facts.get(key) is not None]
-        order = (facts["robot"], facts["agent"], *(_sortable(facts.get(key)) for key in differing))
+        told += [f"again{f' ({again})' * (again > 1)}"] if again else []
+        order = (facts["robot"], facts["agent"], *(_sortable(facts.get(key)) for key in differing), again)
         groups.append(Group(facts["robot"], ", ".join([facts["agent"], *told]), order, tuple(some)))
     return sorted(groups, key=lambda group: group.order)
 

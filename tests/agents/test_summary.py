@@ -63,6 +63,17 @@ def test_groups_differ_in_more_than_their_seed(tmp_path):
     ]
 
 
+def test_a_seed_counts_once(tmp_path):
+    for name, seed in (("a", 0), ("b", 0), ("c", 1), ("d", 0)):
+        write_run(tmp_path, seed, name=name)
+    groups = grouped(read_runs(tmp_path))
+    assert [(group.label, [run.name for run in group.runs]) for group in groups] == [
+        ("dadt", ["a", "c"]),
+        ("dadt, again", ["b"]),
+        ("dadt, again (2)", ["d"]),
+    ]
+
+
 def test_a_line_ends_where_its_shortest_run_does(tmp_path):
     write_run(tmp_path, 0, ((10, 1.0), (20, 2.0), (30, "nan")))
     write_run(tmp_path, 1, ((10, 3.0), (15, 9.0), (20, 4.0), (30, 5.0)))
@@ -91,6 +102,9 @@ def test_places_and_scales_by_hand():
     assert line(points, x, y) == "0,75 100,50"
     assert band(points, x, y) == "0,50 100,0 100,75 0,100"
     assert band([Point(0, Estimate(1.0, None, None))], x, y) is None
+    alone = [Point(10, Estimate(1.0, 1.0, (0.0, 2.0)))]
+    assert line(alone, x, y) == "97,75 100,75"  # a dash: of one place nothing would be drawn
+    assert band(alone, x, y) == "97,50 100,50 100,100 97,100"
     assert y.ticks == [0, 1, 2, 3, 4]
     high = scale_of([points], may_bend=True).high  # not at 99: that would flatten the line
     assert 2.5 < high < 2.7
@@ -168,6 +182,18 @@ def test_what_is_no_run_is_told_in_one_line(tmp_path):
     with pytest.raises(SystemExit, match=r"error: no folder .*nowhere"):
         main([str(tmp_path / "nowhere")])
     assert not (tmp_path / "page.html").exists()
+
+
+def test_in_a_browser_a_curve_of_one_point_is_seen(tmp_path):
+    pytest.importorskip("playwright.sync_api")
+    for seed in (0, 1):
+        write_run(tmp_path / "runs", seed, [(20, 10.0 + seed)])
+    main([str(tmp_path / "runs"), "--output", str(tmp_path / "page.html")])
+    with opened(tmp_path / "page.html") as tab:
+        panel = tab.locator(".panel", has=tab.get_by_role("heading", name="Return")).locator("svg")
+        seen = panel.screenshot()
+        tab.evaluate("document.querySelectorAll('.line, .band').forEach(shape => shape.remove())")
+        assert panel.screenshot() != seen
 
 
 def test_in_a_browser_values_are_read_with_pointer_and_keys(tmp_path):
