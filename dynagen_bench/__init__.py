@@ -15,7 +15,7 @@ from dynagen_bench.datasets import (
 )
 from dynagen_bench.dynamics import Dynamics, draw_dynamics, load_dynamics
 from dynagen_bench.envs import register_environments
-from dynagen_bench.evaluation import Evaluation, Policy, evaluate
+from dynagen_bench.evaluation import Evaluation, Policy, action_space, evaluate
 from dynagen_bench.ids import ROBOTS
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     # scores
     "Evaluation",
     "Policy",
+    "action_space",
     "evaluate",
     # the package
     "__version__",

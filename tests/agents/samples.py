@@ -13,6 +13,9 @@ from dynagen_bench.datasets import Normalization, OfflineDataset, Windows, Windo
 SEQUENCE_AGENTS = [name for name, (config, _) in AGENTS.items() if config.sampler is TrainingConfig.sampler]
 """Those that are trained on windows as they are."""
 
+TRANSFORMERS = [name for name in SEQUENCE_AGENTS if issubclass(AGENTS[name][0], TransformerConfig)]
+"""Those of them that attend to tokens, with the architecture of the paper's Table 6."""
+
 S, A, K = 11, 3, 5  # Hopper's state and action sizes, and a short context
 
 

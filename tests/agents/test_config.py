@@ -27,8 +27,8 @@ TABLE_6 = {
 }
 
 
-def test_defaults_are_the_papers(name):
-    config = AGENTS[name][0]()
+def test_defaults_are_the_papers(transformer):
+    config = AGENTS[transformer][0]()
     for field, value in TABLE_6.items():
         assert getattr(config, field) == value
 
@@ -56,10 +56,10 @@ def test_learning_rate_falls_linearly_over_the_last_steps_where_that_is_asked_fo
         dataclasses.replace(config, decay_steps=9)
 
 
-def test_precision_is_what_the_machine_does_fast_unless_it_is_given(name):
-    assert AGENTS[name][0]().precision == fast_precision()
-    assert AGENTS[name][0](precision="float32").dtype == torch.float32
-    assert AGENTS[name][0](precision="bfloat16").dtype == torch.bfloat16
+def test_precision_is_what_the_machine_does_fast_unless_it_is_given(transformer):
+    assert AGENTS[transformer][0]().precision == fast_precision()
+    assert AGENTS[transformer][0](precision="float32").dtype == torch.float32
+    assert AGENTS[transformer][0](precision="bfloat16").dtype == torch.bfloat16
 
 
 @pytest.mark.parametrize(
@@ -74,9 +74,9 @@ def test_precision_is_what_the_machine_does_fast_unless_it_is_given(name):
         ({"heads": 3}, "embedding 128 does not divide into 3 heads"),
     ],
 )
-def test_a_wrong_value_is_named_with_what_is_allowed(name, changes, message):
+def test_a_wrong_value_is_named_with_what_is_allowed(transformer, changes, message):
     with pytest.raises(ValueError, match=message):
-        AGENTS[name][0](**changes)
+        AGENTS[transformer][0](**changes)
 
 
 @pytest.mark.parametrize(

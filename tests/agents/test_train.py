@@ -64,7 +64,7 @@ def test_a_run_leaves_curves_checkpoints_and_the_official_evaluation(name, tmp_p
     assert str(best["gradient_steps"]) == max(means, key=means.__getitem__)
     assert load_checkpoint(folder / "best.safetensors").step == best["gradient_steps"]
     config = json.loads((folder / "config.json").read_text())
-    assert config["config"]["embedding"] == 16
+    assert config["config"]["batch_size"] == tiny_config(name).batch_size
     assert config["config"].get("target_return", 1000.0) == 1000.0  # the robot's, filled in
     assert not [file for file in os.listdir(folder) if file.endswith(".unfinished")]
 

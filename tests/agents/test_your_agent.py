@@ -1,5 +1,10 @@
 """The page on writing one's own agent: 60 lines, no help of ours, and what it says of `agents/` holds."""
 
+import os
+import re
+import subprocess
+import sys
+
 import pytest
 
 import agents
@@ -7,7 +12,6 @@ from agents.run_folder import RunSettings, read_curve
 from agents.train import train
 from dynagen_bench.evaluation.submission import read_submission
 from leaderboard.verify import verify
-from tests.agents import samples
 from tests.agents.samples import random_dataset
 from tests.test_documents import ROOT, blocks, smaller
 
@@ -37,13 +41,28 @@ def test_its_submission_is_replayed(written, tmp_path):
     assert [check.label for check in verify(tmp_path / "my-entry", found)] == ["replayed"]
 
 
-def test_the_contract_tests_take_it_too(written, monkeypatch):
-    monkeypatch.setitem(agents.AGENTS, "gru", (written["GRUConfig"], written["GRUAgent"]))
-    monkeypatch.setattr(samples, "SEQUENCE_AGENTS", [*samples.SEQUENCE_AGENTS, "gru"])
-    assert ("gru", 0) in samples.stages()
-    loss, parts = samples.new_agent("gru").loss(samples.random_windows(), None)
-    assert loss.isfinite()
-    assert parts
+CONTRACT = """
+import sys
+import pytest
+import agents
+from tests.test_documents import ROOT, blocks, smaller
+page = {}
+for code in blocks(ROOT / "docs" / "your-agent.md", "python"):
+    exec(smaller(code), page)
+for known in (agents.AGENTS, agents.TRAINABLE):
+    known["gru"] = page["GRUConfig"], page["GRUAgent"]
+sys.exit(pytest.main([*sys.argv[1:], "-k", "gru", "-q", "-p", "no:cacheprovider"]))
+"""
+
+
+def test_the_contract_tests_hold_for_it(tiny_data, tmp_path):
+    """As for whoever follows the page: with the agent in `AGENTS`, the tests of all agents run on it too."""
+    files = [str(ROOT / "tests" / "agents" / f"test_{part}.py") for part in ("agents", "config", "train", "adapt")]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(tiny_data)}
+    command = [sys.executable, "-c", CONTRACT, *files, f"--rootdir={ROOT}", f"--basetemp={tmp_path / 'contract'}"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
+    assert len(re.findall(r"^[.]{10,}", done.stdout, re.MULTILINE)) == 1  # so many tests, and all of them pass
 
 
 def test_it_is_trained_as_one_of_the_agents(written, tmp_path, monkeypatch):
