@@ -19,10 +19,14 @@ from dynagen_bench.markdown import table
 from leaderboard.entries import Entry
 from leaderboard.markdown import escape, iqm_text, score_text
 from leaderboard.published import PUBLISHED, PUBLISHED_ERRORS, PUBLISHED_WEIGHTS, Score
+from leaderboard.published import ROBOTS as PAPER_ROBOTS
 from leaderboard.standings import TRACKS, Row, standings
 from leaderboard.statistics import Scores
 from results.claims import PREDICTORS, SLUGS, Claim, Evidence, replayed_scores
 from results.kept import Errors
+
+_NOT_THE_PAPERS: Final = ("–",) * (len(ids.ROBOTS) - len(PAPER_ROBOTS))
+"""Cells of the robots that the paper has not."""
 
 PAPER_STEPS: Final = 1_000_000
 """Gradient steps of a run (section 5.1)."""
@@ -53,7 +57,8 @@ def scores(entries: Sequence[Entry], track: str) -> str:
             lines.append([name, *(score_text(cell) for cell in cells)])
             lines.append(["interquartile mean [95 %]", *(iqm_text(cell) for cell in cells)])
         if name in published:
-            lines.append([f"*{name}, the paper*", *(_published(cell, unknown="?") for cell in published[name])])
+            told = [_published(cell, unknown="?") for cell in published[name]]
+            lines.append([f"*{name}, the paper*", *told, *_NOT_THE_PAPERS])
     return table(["", *ids.ROBOTS], lines)
 
 
@@ -66,7 +71,7 @@ def errors(found: Sequence[Errors]) -> str:
             lines.append([name, *_final_texts(own)])
         if name in PUBLISHED_ERRORS:
             published = [f"{mean:.4f} ± {std:.4f}" for mean, std in PUBLISHED_ERRORS[name]]
-            lines.append([f"*{name}, the paper*", *published])
+            lines.append([f"*{name}, the paper*", *published, *_NOT_THE_PAPERS])
     unchanged = {one.robot: one.unchanged for one in found if one.unchanged is not None}
     if unchanged:
         cells = (f"{unchanged[robot]:.4g}" if robot in unchanged else "–" for robot in ids.ROBOTS)
@@ -155,7 +160,7 @@ def cost(times: Mapping[str, float]) -> str:
             continue
         seconds = (first + times.get(name + LAST_PHASE, first)) / 2
         hours = PAPER_STEPS * seconds / 3600
-        every = hours * PAPER_RUNS * len(ids.ROBOTS)
+        every = hours * PAPER_RUNS * len(PAPER_ROBOTS)
         energy = f"{WATTS * every / 1000:,.1f}"
         lines.append([name, f"{seconds:.3f}", f"{hours:,.0f}", f"{every:,.0f}", f"{every / CLUSTER:,.0f}", energy])
     of_one, of_many = "25 runs, hours on one thread", f"hours on {CLUSTER} threads"

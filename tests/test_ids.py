@@ -10,8 +10,8 @@ from dynagen_bench import ids
 
 def test_every_id_parses_back():
     names = [name for robot in ids.ROBOTS for name in ids.dynamics_ids(robot)]
-    assert len(names) == 125
-    assert len({name.env_id for name in names} | {name.dataset_id for name in names}) == 250
+    assert len(names) == 25 * len(ids.ROBOTS)
+    assert len({name.env_id for name in names} | {name.dataset_id for name in names}) == 2 * len(names)
     for name in names:
         assert ids.parse_env_id(name.env_id) == name
         assert ids.parse_dataset_id(name.dataset_id) == name

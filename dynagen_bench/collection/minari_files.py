@@ -35,7 +35,7 @@ from dynagen_bench.collection.contents import (
 )
 from dynagen_bench.collection.episodes import EPISODES_PER_SNAPSHOT, SEED, Episode, collect_episodes
 from dynagen_bench.collection.policies import POLICY_FOLDER, BehaviourPolicy, load_policies, policy_file
-from dynagen_bench.dynamics import load_dynamics
+from dynagen_bench.dynamics import drawn_factors, load_dynamics
 from dynagen_bench.envs import HORIZON
 from dynagen_bench.whole import exclusively, whole_folder
 
@@ -118,7 +118,7 @@ def build_dataset(
 def _recipe(
     name: ids.DynamicsId, snapshots: Mapping[int, BehaviourPolicy], episodes_per_snapshot: int, every: int
 ) -> dict[str, Any]:
-    factors = json.dumps(load_dynamics(name.robot, name.split, name.index).to_json(), sort_keys=True)
+    factors = json.dumps(drawn_factors(load_dynamics(name.robot, name.split, name.index)), sort_keys=True)
     return {
         "dynamics": name.env_id,
         "dynamics_sha256": hashlib.sha256(factors.encode()).hexdigest(),

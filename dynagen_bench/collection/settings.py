@@ -76,7 +76,9 @@ def changed_settings(robot: str, changes: Sequence[str]) -> SACSettings:
     Raises:
         ValueError: an unknown robot or setting, a value of another type, or numbers that make no run.
     """
-    settings = dataclasses.asdict(SETTINGS[ids.check_robot(robot)])
+    if ids.check_robot(robot) not in SETTINGS:
+        raise ValueError(f"{robot} has no settings of its SAC runs: add them to SETTINGS in {__file__}")
+    settings = dataclasses.asdict(SETTINGS[robot])
     types = get_type_hints(SACSettings)
     for change in changes:
         name, _, value = change.partition("=")

@@ -1,6 +1,6 @@
 """What may differ between bodies: factors as data, their draws, and their way into a MuJoCo model."""
 
-from dynagen_bench.dynamics.draws import draw_dynamics, draw_split, draws_json, load_dynamics
+from dynagen_bench.dynamics.draws import DRAWN, draw_dynamics, draw_split, drawn_factors, draws_json, load_dynamics
 from dynagen_bench.dynamics.parameters import (
     PARAMETERS,
     Dynamics,
@@ -13,6 +13,7 @@ from dynagen_bench.dynamics.parameters import (
 )
 
 __all__ = [
+    "DRAWN",
     "PARAMETERS",
     "Dynamics",
     "Parameter",
@@ -20,6 +21,7 @@ __all__ = [
     "compile_nominal",
     "draw_dynamics",
     "draw_split",
+    "drawn_factors",
     "draws_json",
     "factor_array",
     "load_dynamics",

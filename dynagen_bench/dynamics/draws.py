@@ -81,7 +81,8 @@ def load_dynamics(robot: str, split: str, index: int) -> Dynamics:
     return Dynamics.from_json(_read(robot)[name.split][name.index])
 
 
-def _drawn(dynamics: Dynamics) -> dict[str, dict[str, float]]:
+def drawn_factors(dynamics: Dynamics) -> dict[str, dict[str, float]]:
+    """The factors of what v0 draws, as plain data; a parameter that is added since is not among them."""
     plain = dynamics.to_json()
     return {parameter.field: plain[parameter.field] for parameter in DRAWN}
 
@@ -93,6 +94,9 @@ def draws_json(robot: str, seed: int = SEED) -> str:
         "drawn": f"base**r, r ~ Uniform(-{LOG_RANGE:g}, {LOG_RANGE:g}), one draw an element",
         "seed": seed,
         "base": {parameter.field: parameter.base for parameter in DRAWN},
-        **{split: [_drawn(dynamics) for dynamics in draw_split(robot, split, seed)] for split in ("train", "test")},
+        **{
+            split: [drawn_factors(dynamics) for dynamics in draw_split(robot, split, seed)]
+            for split in ("train", "test")
+        },
     }
     return json.dumps(content, indent=1) + "\n"

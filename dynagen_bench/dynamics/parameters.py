@@ -143,7 +143,11 @@ def _set_derived(model: mujoco.MjModel) -> None:
 
 @functools.cache
 def nominal_robot(robot: str) -> NominalRobot:
-    """Nominal parameter values and element names of a robot, compiled once."""
+    """Nominal parameter values and element names of a robot, compiled once.
+
+    Raises:
+        ValueError: an element of its XML has no name of its own, by which its factor is drawn and given.
+    """
     model = compile_nominal(robot)
     values = {parameter.field: getattr(model, parameter.field).copy() for parameter in PARAMETERS}
     for array in values.values():
@@ -151,7 +155,13 @@ def nominal_robot(robot: str) -> NominalRobot:
     geoms = tuple(model.geom(i).name for i in range(model.ngeom))
     bodies = tuple(_body_name(model, i, geoms) for i in range(model.nbody))
     dofs = tuple(_dof_name(model, i) for i in range(model.nv))
-    return NominalRobot(values, {"body": bodies, "geom": geoms, "dof": dofs})
+    named = {"body": bodies, "geom": geoms, "dof": dofs}
+    for element, names in named.items():
+        if bad := [name for name in names if not name or names.count(name) > 1]:
+            raise ValueError(
+                f"{robot} has a {element} whose name is {bad[0]!r}: give each a name of its own in its XML"
+            )
+    return NominalRobot(values, named)
 
 
 def _body_name(model: mujoco.MjModel, body: int, geoms: tuple[str, ...]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
-from dynagen_bench.dynamics import PARAMETERS, Parameter, factor_array, load_dynamics, nominal_robot
+from dynagen_bench.dynamics import DRAWN, Parameter, factor_array, load_dynamics, nominal_robot
 
 SCALE_BASE: Final = 1.5
 LEVELS: Final = 6
@@ -62,7 +62,7 @@ def factor_groups(robot: str) -> list[Group]:
     drawn = [load_dynamics(robot, name.split, name.index) for name in names]
     nominal = nominal_robot(robot)
     groups = []
-    for parameter in PARAMETERS:
+    for parameter in DRAWN:
         factors = np.stack([factor_array(robot, dynamics, parameter) for dynamics in drawn])  # (25, elements)
         rows = []
         for i, element in enumerate(nominal.names[parameter.element]):

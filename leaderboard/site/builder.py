@@ -21,6 +21,7 @@ from dynagen_bench.evaluation import EPISODES
 from leaderboard.entries import LABELS, Entry
 from leaderboard.markdown import number_text, rank_text
 from leaderboard.published import PUBLISHED
+from leaderboard.published import ROBOTS as PAPER_ROBOTS
 from leaderboard.site.charts import HEAT_LEVELS, Curve, Mark, Scale, curve, heat_level, scale_of
 from leaderboard.standings import (
     CHECKPOINTS,
@@ -129,6 +130,7 @@ def site_page(entries: Sequence[Entry]) -> str:
         data_at={robot: scale.at(score) for robot, score in data.items()},
         scale=scale,
         published=PUBLISHED,
+        published_robots=PAPER_ROBOTS,
         script=markupsafe.Markup(script),  # the project's own, as the hash in the page's policy says
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         style=markupsafe.Markup(style),

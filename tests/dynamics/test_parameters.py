@@ -176,3 +176,13 @@ def test_element_names_are_unique(robot):
     for names in nominal_robot(robot).names.values():
         assert all(names)
         assert len(set(names)) == len(names)
+
+
+def test_elements_without_a_name_of_their_own_are_refused(monkeypatch):
+    """Else they would be one in every draw: Swimmer's links, for example, have no names."""
+    xml = "<mujoco><worldbody><body name='a'><joint name='j'/>{}</body></worldbody></mujoco>"
+    for geoms, name in (("<geom size='1'/>", "''"), ("<geom name='g' size='1'/><geom size='1'/>", "''")):
+        model = mujoco.MjModel.from_xml_string(xml.format(geoms))
+        monkeypatch.setattr("dynagen_bench.dynamics.parameters.compile_nominal", lambda robot, model=model: model)
+        with pytest.raises(ValueError, match=f"Hopper has a geom whose name is {name}: give each a name of its own"):
+            nominal_robot.__wrapped__("Hopper")
