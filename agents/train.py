@@ -258,6 +258,13 @@ def parse(arguments: Sequence[str]) -> Parsed:
 def run(parsed: Parsed, command: str, report: Callable[[int], None] = lambda step: None) -> Path:
     """Load the data and train what `parse` has read; returns the run folder. Raises what `train` does."""
     name, config, settings = parsed
+    if config.steps < config.warmup_steps:
+        highest = config.learning_rate_at(config.steps - 1)
+        print(
+            f"warning: warmup_steps is {config.warmup_steps}, steps {config.steps}: the learning rate comes to "
+            f"{highest:g} and not to {config.learning_rate:g}; --warmup-steps sets it",
+            file=sys.stderr,
+        )
     use_threads(settings.threads)
     dataset = load_dataset(settings.robot, "train", every=settings.every, quality=settings.quality)
     return train(name, config, settings, dataset, report=report, command=command)

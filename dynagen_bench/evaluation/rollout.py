@@ -5,6 +5,7 @@ a policy is whatever has the methods of `policy.Policy`.
 """
 
 import functools
+import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -92,7 +93,7 @@ def evaluate(
         progress: show a progress bar on the error stream.
 
     Raises:
-        TypeError: the policy has no `predict`.
+        TypeError: the policy has no `predict`, or one that cannot be called as `Policy.predict` is.
         ValueError: an unknown robot, split or index, no episode, a seed that is no whole number from 0 on, an answer
             that is not (actions, state), or actions of a wrong shape or not finite.
     """
@@ -100,6 +101,7 @@ def evaluate(
         raise TypeError(
             f"{type(policy).__name__} has no method predict(observation, ...): see dynagen_bench.evaluation.Policy"
         )
+    _check_signature(policy)
     chosen = tuple(name.index for name in ids.choose_ids(robot, split, indices))
     seeds = reset_seeds(robot, split, chosen, episodes, seed)
     drawn = [load_dynamics(robot, split, index) for index in chosen]
@@ -164,6 +166,21 @@ def _run_lanes(
     return returns, lengths
 
 
+def _check_signature(policy: Policy) -> None:
+    """Raise TypeError, in one line, where `predict` takes other arguments than it is given."""
+    try:
+        signature = inspect.signature(policy.predict)
+    except ValueError:  # it is not written in Python, and does not tell
+        return
+    try:
+        signature.bind(None, state=None, episode_start=None, deterministic=True)
+    except TypeError as error:
+        raise TypeError(
+            f"{type(policy).__name__}.predict{signature} cannot be called as predict(observation, state=..., "
+            f"episode_start=..., deterministic=True) ({error}): see dynagen_bench.evaluation.Policy"
+        ) from None
+
+
 def _parts(answer: Any, step: int) -> tuple[Any, Any]:
     """Actions and state of a policy's answer, or one line that says what it gave instead."""
     if isinstance(answer, tuple | list) and len(answer) == 2:
@@ -178,9 +195,10 @@ def _checked_actions(actions: Any, shape: tuple[int, ...], step: int) -> NDArray
     """The policy's actions (N, A) as float32, or one line that says what is wrong with them."""
     try:
         given = np.asarray(actions)
-    except ValueError as error:  # rows of different lengths
+    except (ValueError, TypeError, RuntimeError) as error:  # rows of different lengths; a tensor with a gradient
         raise ValueError(
-            f"step {step}: the policy's actions are no array, it must give numbers of shape {shape}"
+            f"step {step}: the policy's actions are no array ({str(error).splitlines()[0]}), it must give numbers of "
+            f"shape {shape}"
         ) from error
     if given.shape != shape or given.dtype.kind not in "fiu":
         raise ValueError(

@@ -375,6 +375,15 @@ def test_the_largest_seed_trains(tmp_path):
     assert load_checkpoint(folder / "last.safetensors").seed == 2**63 - 1
 
 
+@pytest.mark.usefixtures("tiny_data")
+def test_a_warm_up_that_does_not_end_is_warned_of(tmp_path, capsys):
+    flags = TINY_FLAGS.split()
+    main(["dt", "--robot", "Hopper", "--steps", "2", *flags, "--warmup-steps", "8", "--runs", str(tmp_path)])
+    assert "warning: warmup_steps is 8, steps 2: the learning rate comes to " in capsys.readouterr().err
+    main(["dt", "--robot", "Hopper", "--steps", "2", *flags, "--warmup-steps", "2", "--runs", str(tmp_path / "other")])
+    assert "warning" not in capsys.readouterr().err
+
+
 def test_the_command_line_ends_bad_input_in_one_line(tmp_path, capsys):
     for arguments in (["dt", "--robot", "Hopper", "--dropout", "2"], ["dt", "--robot", "Hopper"]):
         with pytest.raises(SystemExit) as stop:

@@ -5,6 +5,7 @@ import hashlib
 import gymnasium
 import numpy as np
 import pytest
+import torch
 
 from dynagen_bench import ids
 from dynagen_bench.evaluation import EPISODES, RandomPolicy, action_space, evaluate, reset_seeds
@@ -162,6 +163,18 @@ def one_bad_row(value):
     return actions
 
 
+def test_a_predict_of_another_form_is_told_before_anything_runs():
+    class OfAnotherLibrary:
+        def predict(self, x):
+            return x
+
+    with pytest.raises(
+        TypeError, match=r"^OfAnotherLibrary\.predict\(x\) cannot be called as predict\(observation, "
+    ) as no:
+        evaluate(OfAnotherLibrary(), "Hopper", episodes=1)
+    assert "\n" not in str(no.value)
+
+
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
@@ -174,8 +187,9 @@ def one_bad_row(value):
         (None, "type object"),
         (
             [[0.0] * 3] * 4 + [[0.0]],
-            r"step 0: the policy's actions are no array, it must give numbers of shape \(5, 3\)",
+            r"step 0: the policy's actions are no array \(.*\), it must give numbers of shape \(5, 3\)",
         ),
+        (torch.zeros((5, 3), requires_grad=True), r"are no array \(Can't call numpy\(\) on Tensor that requires grad"),
     ],
 )
 def test_bad_actions_end_in_one_line_and_reach_no_physics(actions, message):
