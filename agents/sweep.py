@@ -16,6 +16,7 @@ from typing import Annotated, Any, Final
 import tyro
 
 from agents import TRAINABLE
+from agents.interface import Agent
 from agents.run_folder import RunSettings, git_commit, is_committed
 from agents.summary import write_summary
 from agents.sweep_plan import SweepRun, is_finished, plan
@@ -59,6 +60,9 @@ def sweep(lines: Sequence[str], runs: Path, processes: int | None = None, ray: s
     if ray in (None, "local"):  # its flat arrays are made once, and not by every process
         for robot, every in sorted({(one.settings.robot, one.settings.every) for one in todo}):
             load_dataset(robot, "train", every=every)
+        measured = [one.settings for one in todo if not issubclass(TRAINABLE[one.agent][1], Agent)]
+        for robot, every in sorted({(settings.robot, settings.every) for settings in measured}):
+            load_dataset(robot, "test", every=every)  # who predicts is measured on it, in the end
     try:
         run_jobs([one.job for one in todo], runs, processes=processes, ray=ray)
     except BaseException:  # an interruption too

@@ -182,7 +182,7 @@ def collect(
         ray: run them on Ray: "local", or the address of a cluster, "auto" or HOST:PORT; needs the [cluster] extra.
         change: another setting of SAC for a trial, as `--change learning_rate=1e-3`; may be given again.
     """
-    names = [ids.parse_label(robot, label) for label in labels] or list(ids.dynamics_ids(robot))
+    names = [ids.parse_label(robot, label) for label in dict.fromkeys(labels)] or list(ids.dynamics_ids(robot))
     collect_runs(names, changed_settings(robot, change), folder, processes, ray)
     sys.stdout.write(f"{len(names)} runs of {robot} are in {folder}\n")
 

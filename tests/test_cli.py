@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -146,6 +147,16 @@ def test_collect_runs_nothing_where_nothing_is_missing(capsys, tmp_path):
     for name in ids.dynamics_ids("Ant"):
         path = policy_file(name, tmp_path)
         path.parent.mkdir(exist_ok=True)
-        path.touch()
-    run(capsys, "collect", "Ant", "--folder", str(tmp_path))
-    assert all(policy_file(name, tmp_path).stat().st_size == 0 for name in ids.dynamics_ids("Ant"))
+        shutil.copyfile(policy_file(name), path)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")}
+    assert "25 runs of Ant are in" in run(capsys, "collect", "Ant", "--folder", str(tmp_path))
+    assert "1 runs of Ant" in run(capsys, "collect", "Ant", "train3", "train3", "--folder", str(tmp_path))
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_collect_takes_no_damaged_file_for_a_run(capsys, tmp_path):
+    (tmp_path / "Hopper").mkdir()
+    (tmp_path / "Hopper" / "train0.safetensors").write_text("x")
+    with pytest.raises(SystemExit):
+        main(["collect", "Hopper", "train0", "--folder", str(tmp_path)])
+    assert "train0.safetensors is no finished run" in capsys.readouterr().err

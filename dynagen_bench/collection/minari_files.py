@@ -106,8 +106,8 @@ def build_dataset(
     folder = dataset_folder(name.part_id(every))
     with exclusively(folder), _stopped_between() as check_stopped:
         kept = _intact_record(folder, recipe, expected_sha256)
+        _ensure_namespace(name.robot)
         if kept is None:
-            _ensure_namespace(name.robot)
             episodes = _counted(collect_episodes(name, chosen, episodes_per_snapshot), total, progress)
             with whole_folder(folder) as unfinished:
                 kept = _write(unfinished, name, recipe, episodes, reference, check_stopped)

@@ -57,12 +57,13 @@ def collect(
 
 
 def _check_settings(file: Path, settings: SACSettings) -> None:
-    """Raise ValueError if a stored run was trained with other settings: it would be taken for one of these."""
+    """Raise ValueError if a stored run is of other settings, or is none: it would be taken for one of these."""
     try:
         # a setting that is newer than the run had its default
         stored = dataclasses.asdict(SACSettings()) | load_policies(file)[1]["settings"]
-    except (ValueError, KeyError):  # damaged: it is no run of any settings, and building the data says so
-        return
+    except (ValueError, KeyError, TypeError) as error:
+        said = str(error).splitlines()[0]
+        raise ValueError(f"{file} is no finished run ({said}): remove it, and give the same command again") from error
     wanted = dataclasses.asdict(settings)
     changed = [f"{field}={stored.get(field)}" for field, value in wanted.items() if stored.get(field) != value]
     if changed:

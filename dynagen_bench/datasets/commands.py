@@ -226,6 +226,8 @@ def publish(
     if output is not None and remote is not None:
         raise ValueError(f"both --output {output} and --remote {remote} are given: publish to one after the other")
     names = _chosen(robots, labels)
+    if output is not None and not (output := output.resolve()).is_dir() and output.exists():
+        raise ValueError(f"{output} is no folder: give --output the path of one, or of none yet")
     target = connect(remote) if output is None else None
     found, manifest = _publishable(names, every, unofficial, records), read_manifest(records)
     official = {key for key, record in found.items() if key in manifest and manifest[key].sha256 == record.sha256}
@@ -343,8 +345,8 @@ def _show(found: dict[str, DatasetRecord], records: Path) -> None:
     table = rich.table.Table(box=rich.box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("dataset", no_wrap=True)
     for column in ("steps", "min", "mean", "max"):
-        table.add_column(column, justify="right", no_wrap=True, min_width=4)
-    table.add_column("content", no_wrap=True, min_width=len("official"))
+        table.add_column(column, justify="right", no_wrap=True, min_width=7 if column == "steps" else 5)
+    table.add_column("content", no_wrap=True, min_width=len("official") + 1)
     for dataset_id, record in found.items():
         entry = manifest.get(dataset_id)
         content = "unlisted" if entry is None else "official" if entry.sha256 == record.sha256 else "differs"

@@ -121,7 +121,10 @@ def _link(source: str, target: str) -> None:
 
 def _local_metadata(namespace: str) -> dict[str, Any]:
     path = dataset_folder(namespace) / NAMESPACE_METADATA_FILENAME
-    return own_metadata(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+    try:
+        return own_metadata(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged ({error}): `dynagen data build` mends it") from error
 
 
 def _write_namespace(root: Path, namespace: str, metadata: Mapping[str, Any]) -> None:

@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import io
 import json
+import logging
 import os
 import re
 import tempfile
@@ -204,9 +205,15 @@ def own_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """Nothing is printed: Minari's lines and bars would break our own bars."""
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        yield
+    """Nothing is printed: Minari's lines and bars would break our own bars, and so would its libraries' warnings."""
+    logger = logging.getLogger("huggingface_hub")  # its handler has kept the error stream that there was before
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            yield
+    finally:
+        logger.setLevel(before)
 
 
 def _is_final(error: Exception) -> bool:

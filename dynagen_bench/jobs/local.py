@@ -7,6 +7,7 @@ records, retries or what is shown.
 import os
 import selectors
 import socket
+from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -24,11 +25,14 @@ class LocalProcesses:
     kind = "local"
 
     def __init__(self, processes: int | None) -> None:
+        cores: Sequence[int | None]
         cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
         count = len(cores) if processes is None else processes
-        self._free_cores = [cores[i % len(cores)] for i in range(count)]
+        # who takes some of the processors alone leaves the choice to the system: two such runners take the same ones
+        own = cores if count >= len(cores) else [None]
+        self._free_cores = [own[i % len(own)] for i in range(count)]
         self._selector = selectors.DefaultSelector()
-        self._running: dict[str, tuple[Attempt, int]] = {}
+        self._running: dict[str, tuple[Attempt, int | None]] = {}
 
     @property
     def free(self) -> int:

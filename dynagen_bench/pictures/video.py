@@ -85,6 +85,8 @@ def render_video(
         RuntimeError: the [pictures] extra or a GL backend is missing.
     """
     name, source = ids.parse_label(ids.check_robot(robot), label), ids.parse_label(robot, policy_of or label)
+    if policy_of and policy in ("random", "zero"):
+        raise ValueError(f"policy is {policy!r}, which is of no dynamics, and policy_of {policy_of!r}: leave one out")
     if output.suffix not in FRAME_RATES:
         raise ValueError(f"cannot write {output.name!r}: let its name end in {' or '.join(FRAME_RATES)}")
     if episodes < 1 or not 0.01 <= speed <= 100:

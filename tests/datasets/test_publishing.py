@@ -198,6 +198,18 @@ def test_damaged_data_are_refused(bucket, publish, my_root):
     assert bucket.files() == {}
 
 
+def test_a_damaged_description_of_a_namespace_is_named(publish, my_root, tmp_path):
+    (my_root / "dynagen" / "Hopper-RandDyn" / "namespace_metadata.json").write_text("")
+    with pytest.raises(ValueError, match=r"namespace_metadata\.json is damaged .*`dynagen data build` mends it"):
+        publish(output=tmp_path / "tree", unofficial=True)
+
+
+def test_a_tree_is_no_file(publish, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(ValueError, match=r"file is no folder: give --output"):
+        publish(output=tmp_path / "file", unofficial=True)
+
+
 def test_missing_data_and_two_targets(bucket, publish, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no data of Hopper-RandDyn-train4 .*dynagen data build Hopper"):
         publish("test3", "train4")

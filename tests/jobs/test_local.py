@@ -76,6 +76,11 @@ def test_a_job_has_one_thread_one_processor_low_priority_and_no_stdin(tmp_path):
     if hasattr(os, "sched_getaffinity"):
         assert len(found["affinity"]) == 1
         assert set(found["affinity"]) <= os.sched_getaffinity(0)
+        processors = len(os.sched_getaffinity(0))
+        if processors > 1:  # another runner may be at work: it must not be on the same one
+            few = Job("b", "tests.jobs.work:surroundings", {}, ("found.json",), 1)
+            run_jobs([few], tmp_path / "few", processes=processors - 1)
+            assert len(json.loads((tmp_path / "few" / "found.json").read_text())["affinity"]) == processors
 
 
 def test_a_killed_job_is_tried_again_and_one_that_always_fails_stops_no_other(tmp_path):

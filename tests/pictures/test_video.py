@@ -111,6 +111,7 @@ def test_an_mp4_that_is_not_whole_replaces_no_old_one(tmp_path, monkeypatch, wri
         ({"width": 63}, "an even number from 32 to 2048"),
         ({"label": "test9"}, "from 0 to 4"),
         ({"policy_of": "best"}, "train0 to train19"),
+        ({"policy": "random", "policy_of": "train0"}, "policy is 'random', which is of no dynamics"),
     ],
 )
 def test_a_mistake_writes_nothing(tmp_path, change, message):
