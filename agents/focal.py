@@ -40,8 +40,8 @@ from agents.context import ContextActor, Known, Step, transitions_of
 from agents.gaussian import GaussianActor
 from agents.interface import RobotSpec, Sampler
 from agents.nets import Nets, fixed, move_to_mean
-from agents.transitions import TaskSampler, Transitions
-from dynagen_bench.datasets import Normalization, OfflineDataset
+from agents.transitions import TaskSampler
+from dynagen_bench.datasets import Normalization, OfflineDataset, Transitions
 
 EPSILON: Final = 1e-3
 """ε of the distance metric loss; of its second half a hundred times that (sac.py, z_loss)."""

@@ -1,34 +1,16 @@
 """Single steps of several dynamics, told apart: what agents with annotated data are trained on.
 
-What is here: `Transitions` and `TaskSampler`. Called by the configs of FOCAL and MerPO (the paper, section 5.2: they
+What is here: `TaskSampler`. Called by the configs of FOCAL and MerPO (the paper, section 5.2: they
 "are trained with trajectories annotated with dynamics-id"). It must not know agents; a dynamics is a number to it, and
 nothing of its mass or friction.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
-from dynagen_bench.datasets import Normalization, OfflineDataset
+from dynagen_bench.datasets import Normalization, OfflineDataset, Transitions
 from dynagen_bench.datasets.steps import StepIndex
-
-
-class Transitions(NamedTuple):
-    """B steps of each of M dynamics."""
-
-    observations: NDArray[np.float32]
-    """(M, B, S), normalised."""
-    actions: NDArray[np.float32]
-    """(M, B, A)."""
-    rewards: NDArray[np.float32]
-    """(M, B)."""
-    next_observations: NDArray[np.float32]
-    """(M, B, S), normalised."""
-    terminal: NDArray[np.bool_]
-    """(M, B), the step ended the episode by itself. An episode that reached the horizon could have gone on: False."""
-    dynamics: NDArray[np.int64]
-    """(M,), numbers of the dynamics."""
+from dynagen_bench.datasets.transitions import transitions_at
 
 
 class TaskSampler:
@@ -48,30 +30,21 @@ class TaskSampler:
         self._tasks = min(tasks, len(self.dynamics))
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> Transitions:
-        """Draw `batch_size` = B steps of each of M dynamics, which are in order."""
+        """Draw `batch_size` = B steps of each of M dynamics, which are in order: (M, B, ...), normalised."""
         chosen = np.sort(rng.permutation(len(self.dynamics))[: self._tasks])
         low, high = self._bounds[chosen], self._bounds[chosen + 1]
-        return self._at(rng.integers(low[:, None], high[:, None], size=(self._tasks, batch_size)), chosen)
+        return self._at(rng.integers(low[:, None], high[:, None], size=(self._tasks, batch_size)))
 
     def everything(self) -> Transitions:
-        """All steps of the data, of one dynamics.
+        """All steps of the data, of one dynamics, (1, N, ...).
 
         Raises:
             ValueError: the data are of several.
         """
         if len(self.dynamics) != 1:
             raise ValueError(f"the data are of {len(self.dynamics)} dynamics: give those of one")
-        return self._at(np.arange(self._bounds[-1])[None], np.zeros(1, dtype=np.int64))
+        return self._at(np.arange(self._bounds[-1])[None])
 
-    def _at(self, steps: NDArray[np.int64], chosen: NDArray[np.int64]) -> Transitions:
+    def _at(self, steps: NDArray[np.int64]) -> Transitions:
         """The steps (M, B), counted through all episodes by dynamics."""
-        data = self._data
-        episodes, timesteps, rows = self._index.find(steps)
-        return Transitions(
-            observations=self._normalization.apply(data.observations[rows]),
-            actions=data.actions[rows],
-            rewards=data.rewards[rows],
-            next_observations=self._normalization.apply(data.observations[rows + 1]),
-            terminal=data.episode_terminated[episodes] & (timesteps == data.episode_lengths[episodes] - 1),
-            dynamics=self.dynamics[chosen],
-        )
+        return transitions_at(self._data, self._index, steps, self._normalization)

@@ -8,6 +8,7 @@ import importlib.metadata
 from dynagen_bench.datasets import (
     Normalization,
     OfflineDataset,
+    TransitionSampler,
     WindowSampler,
     load_adaptation,
     load_dataset,
@@ -27,6 +28,7 @@ __all__ = [
     # data
     "Normalization",
     "OfflineDataset",
+    "TransitionSampler",
     "WindowSampler",
     "load_adaptation",
     "load_dataset",

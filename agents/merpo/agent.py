@@ -46,8 +46,8 @@ from agents.gaussian import GaussianActor, Moments, divergence
 from agents.interface import History, RobotSpec, Sampler
 from agents.merpo.world_model import Steps, WorldModel
 from agents.nets import Nets, fixed, move_to_mean, spread
-from agents.transitions import TaskSampler, Transitions
-from dynagen_bench.datasets import Normalization, OfflineDataset
+from agents.transitions import TaskSampler
+from dynagen_bench.datasets import Normalization, OfflineDataset, Transitions
 
 LOG_STD: Final = (-5.0, 2.0)
 """Of all policies: bounds of the logarithm of the deviation before tanh."""

@@ -37,8 +37,9 @@ def test_every_step_is_one_of_the_data_and_of_its_dynamics(episodes, tasks, seed
     dataset = mixed(lengths, dynamics)
     found = TaskSampler(dataset, PLAIN, tasks).sample(5, np.random.default_rng(seed))
     assert len(found.dynamics) == min(tasks, len(set(dynamics)))
-    assert list(found.dynamics) == sorted(set(found.dynamics.tolist()))
-    for m, task in enumerate(found.dynamics):
+    assert (found.dynamics == found.dynamics[:, :1]).all()
+    assert list(found.dynamics[:, 0]) == sorted(set(found.dynamics.ravel().tolist()))
+    for m, task in enumerate(found.dynamics[:, 0]):
         for b in range(5):
             row = row_of(dataset, found.observations[m, b])
             episode = int(np.searchsorted(dataset.episode_starts, row, side="right")) - 1
