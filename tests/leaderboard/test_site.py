@@ -259,7 +259,7 @@ def test_it_sorts_filters_and_compares_in_a_browser(tab):
     assert value.inner_text() == "100 % [100, 100]"
 
     tab.locator("#zero-shot-last .sortable tr[data-slug=poor] a").press("Enter")
-    assert tab.locator("#entry-poor .heat").is_visible()
+    tab.locator("#entry-poor .heat").wait_for(state="visible")  # the link opens what it leads to when it has arrived
 
 
 def test_a_single_robot_is_chosen_from_the_start(tab, tmp_path):
