@@ -101,7 +101,7 @@ def claims(
     scores = replayed_scores(entries)
     zero = {name: scores.get(f"{slug}-zero-shot-last") for name, slug in SLUGS.items()}
     adapted = {name: scores.get(f"{slug}-adaptation-last") for name, slug in SLUGS.items()}
-    poor = {name: low.get(slug.replace("-", "_")) for name, slug in SLUGS.items()}
+    poor = {name: low.get(agent) for agent, name in NAMES.items()}
     error = error_scores(errors)
     return [
         _all("DADT acts best without adaptation", "Tables 1, 7", *(_than(zero, "DADT", name) for name in _BASELINES)),
@@ -155,6 +155,9 @@ SLUGS: Final = {
     "DADT": "dadt",
 }
 """Name in the paper → how the board calls our entry of it."""
+
+NAMES: Final = {slug.replace("-", "_"): name for name, slug in SLUGS.items()}
+"""Name in `AGENTS` → name in the paper."""
 
 PREDICTORS: Final = {"dt_plus": "DT+", "dadt": "DADT", "mlp": "MLP", "lstm": "LSTM", "cadm": "CaDM"}
 """What predicts next states → its name in the paper."""

@@ -22,7 +22,7 @@ from leaderboard.published import PUBLISHED, PUBLISHED_ERRORS, PUBLISHED_WEIGHTS
 from leaderboard.published import ROBOTS as PAPER_ROBOTS
 from leaderboard.standings import TRACKS, Row, standings
 from leaderboard.statistics import Scores
-from results.claims import PREDICTORS, SLUGS, Claim, Evidence, replayed_scores
+from results.claims import NAMES, PREDICTORS, SLUGS, Claim, Evidence, replayed_scores
 from results.kept import Errors
 
 _NOT_THE_PAPERS: Final = ("–",) * (len(ids.ROBOTS) - len(PAPER_ROBOTS))
@@ -84,7 +84,7 @@ def low_quality(low: Mapping[str, Scores], entries: Sequence[Entry]) -> str:
     replayed = replayed_scores(entries)
     lines = []
     for agent, own in low.items():
-        lines.append([escape(agent), *_final_texts(own)])
+        lines.append([NAMES.get(agent, escape(agent)), *_final_texts(own)])
         whole = replayed.get(f"{agent.replace('_', '-')}-zero-shot-last")
         if whole is not None:
             lines.append(["on all data", *_final_texts({robot: whole[robot] for robot in own if robot in whole})])
@@ -193,7 +193,7 @@ def learning(records: Sequence[Mapping[str, Any]]) -> str:
     for (agent, robot, steps, dynamics), own in groups.items():
         means = [estimate([statistics.fmean(record[what]) for record in own]) for what in COMPARED]
         runs = [f"{len(own)}", f"{steps:,}", f"{dynamics}"]
-        lines.append([escape(agent), robot, *runs, *(_estimate_text(one) for one in means)])
+        lines.append([NAMES.get(agent, escape(agent)), robot, *runs, *(_estimate_text(one) for one in means)])
     return table(["agent", "robot", "runs", "gradient steps", "train dynamics", *COMPARED], lines)
 
 

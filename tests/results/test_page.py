@@ -74,7 +74,7 @@ def test_the_page_has_every_part(made):
     assert "| 301.0 | 290.5 |" in page
     assert "| dadt | 300.0 | 320.0 |" in page  # return by gradient steps
     assert "| dadt | 0.5000 | 0.2500 |" in page
-    assert "| dadt | Hopper | 1 | 200 | 2 | 305 | 25 | 10.5 |" in page
+    assert "| DADT | Hopper | 1 | 200 | 2 | 305 | 25 | 10.5 |" in page
     assert "0.001 after 500 steps of warm-up" in page
 
 
@@ -85,7 +85,7 @@ def test_a_schedule_of_the_learning_rate_is_told(trained):
 
 def test_low_quality_data_and_weights_stand_beside_what_they_are_compared_with(made):
     lines = made[PAGE].splitlines()
-    place = lines.index("| dadt | – | 21.00 ± 1.41 (2 runs) | – | – | – |")  # 20 and 22
+    place = lines.index("| DADT | – | 21.00 ± 1.41 (2 runs) | – | – | – |")  # 20 and 22
     on_all_data = lines[place + 1]
     assert on_all_data.startswith("| on all data | – | ")
     score = float(on_all_data.split("|")[3].split("±")[0])
