@@ -124,7 +124,6 @@ class Agent(Trainable, Protocol):
         """A new policy acting with the parameters of this agent, at the start of its episodes."""
 
 
-@runtime_checkable
 class Memoryless(Agent, Protocol):
     """Acts by the present state alone: what the episode has shown before, it is not told."""
 

@@ -58,11 +58,12 @@ def sweep(lines: Sequence[str], runs: Path, processes: int | None = None, ray: s
     planned = plan(lines)
     todo = [one for one in planned if not is_finished(one, runs)]
     if ray in (None, "local"):  # its flat arrays are made once, and not by every process
-        for robot, every in sorted({(one.settings.robot, one.settings.every) for one in todo}):
-            load_dataset(robot, "train", every=every)
-        measured = [one.settings for one in todo if not issubclass(TRAINABLE[one.agent][1], Agent)]
-        for robot, every in sorted({(settings.robot, settings.every) for settings in measured}):
-            load_dataset(robot, "test", every=every)  # who predicts is measured on it, in the end
+        needed = {(one.settings.robot, "train", one.settings.every) for one in todo}
+        # who predicts is measured on test data in the end
+        predictors = [one.settings for one in todo if not issubclass(TRAINABLE[one.agent][1], Agent)]
+        needed |= {(settings.robot, "test", settings.every) for settings in predictors}
+        for robot, split, every in sorted(needed):
+            load_dataset(robot, split, every=every)
     try:
         run_jobs([one.job for one in todo], runs, processes=processes, ray=ray)
     except BaseException:  # an interruption too

@@ -116,8 +116,8 @@ adaptation too: here are scores without adaptation, at the last checkpoint, of t
 WEIGHTS: Final = """\
 ## The weight of the next state's error
 
-The counterpart of the paper's Table 4: scores of DADT without adaptation at the last checkpoint, by λ. The
-runs at 0.05, the default, are the reference runs.
+The counterpart of the paper's Table 4: scores of DADT without adaptation at the last checkpoint, by λ. The runs at
+0.05, the default, are the reference runs.
 """
 
 ERRORS: Final = """\
@@ -160,8 +160,8 @@ COST: Final = """\
 A million gradient steps, the paper's budget, five runs on each of the five robots, would take by these times what
 follows; MerPO has half of the steps in each of its phases. The 25 runs of an agent are independent jobs
 ([sweeps.md](sweeps.md)). On one GPU, an RTX 2080 Ti, the paper's authors report at most 8 hours for a run of DADT,
-which is 200 for 25, and 50 kWh at its rated 250 W. Energy here is
-that of the processor alone, one core at its share of the rated power (360 W for 96 cores): an estimate, no measurement.
+which is 200 for 25, and 50 kWh at its rated 250 W. Energy here is that of the processor alone, one core
+at its share of the rated power (360 W for 96 cores): an estimate, no measurement.
 """
 
 

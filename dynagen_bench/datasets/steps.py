@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dynagen_bench import ids
 from dynagen_bench.datasets.flat import OfflineDataset
 
 
@@ -35,6 +36,17 @@ class StepIndex:
             raise ValueError(f"the {dataset.split} data of {dataset.robot} have no steps to sample")
         self._starts, self._lengths = dataset.episode_starts, dataset.episode_lengths
         self.ends = np.cumsum(self._lengths)
+
+    def draw(self, batch_size: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Numbers of `batch_size` = B steps, (B,), each as likely as another.
+
+        Raises:
+            ValueError: the batch size is no whole number from 1 on.
+        """
+        size = ids.whole_number(batch_size)
+        if size is None or size < 1:
+            raise ValueError(f"batch_size is {batch_size!r}: give a whole number from 1 on")
+        return rng.integers(int(self.ends[-1]), size=size)
 
     def find(self, steps: NDArray[np.int64]) -> Places:
         """The places of steps (...); raises ValueError if the data have not so many."""

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynagen_bench import ids
 from dynagen_bench.datasets.flat import OfflineDataset
 from dynagen_bench.datasets.normalization import Normalization
 from dynagen_bench.datasets.steps import StepIndex
@@ -63,10 +62,7 @@ class TransitionSampler:
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> Transitions:
         """Draw `batch_size` = B steps, (B, ...); raises ValueError if that is no whole number from 1 on."""
-        size = ids.whole_number(batch_size)
-        if size is None or size < 1:
-            raise ValueError(f"batch_size is {batch_size!r}: give a whole number from 1 on")
-        return self._at(rng.integers(self._data.num_steps, size=size))
+        return self._at(self._index.draw(batch_size, rng))
 
     def everything(self) -> Transitions:
         """All steps in order, (N, ...) with N = `dataset.num_steps`, copied into memory: to fill another's buffer."""

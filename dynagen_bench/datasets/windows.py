@@ -68,10 +68,7 @@ class WindowSampler:
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> Windows:
         """Draw `batch_size` = B windows; raises ValueError if that is no whole number from 1 on."""
-        size = ids.whole_number(batch_size)
-        if size is None or size < 1:
-            raise ValueError(f"batch_size is {batch_size!r}: give a whole number from 1 on")
-        return self.windows_at(rng.integers(self.dataset.num_steps, size=size))
+        return self.windows_at(self._index.draw(batch_size, rng))
 
     def windows_at(self, steps: NDArray[np.int64]) -> Windows:
         """The windows that begin at steps (B,), counted through all episodes in order."""

@@ -44,6 +44,20 @@ def fine_tuned(checkpoint, name=TEST0, tuning=FAST, data=None):
     return given.parameters
 
 
+def stop_at_update(monkeypatch, number):
+    """Make the learners' update of this number an interruption; gives a list that grows by each update's seed."""
+    update, taken = Learner.update, []
+
+    def stopped(self, sampler):
+        taken.append(self.seed)
+        if len(taken) == number:
+            raise KeyboardInterrupt
+        return update(self, sampler)
+
+    monkeypatch.setattr(Learner, "update", stopped)
+    return taken
+
+
 def different(one, other):
     return {key for key, value in one.items() if not torch.equal(value, other[key])}
 
@@ -111,15 +125,7 @@ def test_stopped_at_any_time_it_goes_on_with_the_dynamics_it_was_at(run, tiny_da
     whole = read_result(adapt(run, FAST))
     assert json.loads((run / "adaptation.json").read_text())["threads"] == torch.get_num_threads()
     (run / "adaptation.json").unlink()
-    update, taken = Learner.update, []
-
-    def stopped(self, sampler):
-        taken.append(self.seed)
-        if len(taken) == 8:  # the second step of the third dynamics
-            raise KeyboardInterrupt
-        return update(self, sampler)
-
-    monkeypatch.setattr(Learner, "update", stopped)
+    taken = stop_at_update(monkeypatch, 8)  # the second step of the third dynamics
     monkeypatch.setattr("agents.adapt.git_commit", lambda: "a" * 40 + "-dirty")
     with pytest.raises(SystemExit, match="the same command again"):
         main([str(run), "--steps", "3", "--learning-rate", "0.01", "--batch-size", "4", "--episodes", "2"])
@@ -180,15 +186,7 @@ def test_the_curve_is_of_held_out_train_dynamics_and_sees_no_test_data(held_out,
 def test_a_curve_that_was_stopped_goes_on_with_the_dynamics_it_was_at(held_out, tiny_data, monkeypatch):
     whole = choose_steps(held_out, POINTS, points=(0, 2)).read_bytes()
     (held_out / "adaptation-curve.csv").unlink()
-    update, taken = Learner.update, []
-
-    def stopped(self, sampler):
-        taken.append(self.seed)
-        if len(taken) == 4:  # the second step of the second dynamics
-            raise KeyboardInterrupt
-        return update(self, sampler)
-
-    monkeypatch.setattr(Learner, "update", stopped)
+    taken = stop_at_update(monkeypatch, 4)  # the second step of the second dynamics
     with pytest.raises(KeyboardInterrupt):
         choose_steps(held_out, POINTS, points=(0, 2))
     assert [file.name for file in (held_out / "adaptation-curve").iterdir()] == ["train18.json"]

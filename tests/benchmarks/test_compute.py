@@ -17,6 +17,7 @@ import torch
 from agents import AGENTS
 from agents.interface import Fitted, Phased, RobotSpec
 from agents.learner import Learner
+from results.tables import LAST_PHASE
 from tests.agents.samples import flat_dataset
 
 COMPARED = ("dadt", "dt", "focal", "merpo", "trajectory_transformer")
@@ -48,7 +49,7 @@ def learners():
         if isinstance(learner.agent, Phased):
             later = Learner(name, config, spec, seed=0)
             later.step = config.steps - 100
-            made[f"{name}, last phase"] = (later, sampler)
+            made[name + LAST_PHASE] = (later, sampler)
     yield made
     torch.set_num_threads(before)
 
