@@ -18,6 +18,7 @@ from agents.focal import FOCAL, FOCALConfig
 from agents.lstm import LSTM, LSTMConfig
 from agents.merpo import MerPO, MerPOConfig
 from agents.mlp import MLP, MLPConfig
+from agents.mlp_bc import MLPBC, MLPBCConfig
 from agents.trajectory_transformer import TrajectoryTransformer, TrajectoryTransformerConfig
 from agents.transformer_bc import TransformerBC, TransformerBCConfig
 
@@ -34,6 +35,7 @@ AGENTS: Final[dict[str, tuple[type[TrainingConfig], Any]]] = {
     "merpo": (MerPOConfig, MerPO),
     "trajectory_transformer": (TrajectoryTransformerConfig, TrajectoryTransformer),
     "transformer_bc": (TransformerBCConfig, TransformerBC),
+    "mlp_bc": (MLPBCConfig, MLPBC),
 }
 """Name → its config's class and its own (see `interface.Agent`)."""
 

@@ -90,7 +90,7 @@ class Claim(NamedTuple):
 def claims(
     entries: Sequence[Entry], errors: Sequence[Errors], low: Mapping[str, Scores], weights: Mapping[str, Scores]
 ) -> list[Claim]:
-    """All of them, in the paper's order.
+    """All of them, in the paper's order, and what they take for granted.
 
     Args:
         entries: of the board; what was not replayed is no evidence.
@@ -143,6 +143,11 @@ def claims(
             *(_than(poor, "DADT", name) for name in ("DT", "Transformer-BC")),
         ),
         _robust(weights),
+        _all(
+            "Cloning acts better if it sees the episode so far, and not the present state alone",
+            "not the paper's: a control",
+            _than(zero, "Transformer-BC", "MLP-BC"),
+        ),
     ]
 
 
@@ -150,14 +155,15 @@ SLUGS: Final = {
     "FOCAL": "focal",
     "MerPO": "merpo",
     "Trajectory Transformer": "trajectory-transformer",
+    "MLP-BC": "mlp-bc",
     "Transformer-BC": "transformer-bc",
     "DT": "dt",
     "DADT": "dadt",
 }
-"""Name in the paper → how the board calls our entry of it."""
+"""Name in the paper → how the board calls our entry of it; the paper has no MLP-BC."""
 
 NAMES: Final = {slug.replace("-", "_"): name for name, slug in SLUGS.items()}
-"""Name in `AGENTS` → name in the paper."""
+"""Name in `AGENTS` → the same name."""
 
 PREDICTORS: Final = {"dt_plus": "DT+", "dadt": "DADT", "mlp": "MLP", "lstm": "LSTM", "cadm": "CaDM"}
 """What predicts next states → its name in the paper."""

@@ -25,6 +25,7 @@ COLOURS: Final = (
     ("#bf3989", "#f778ba"),
     ("#7d6608", "#d4a72c"),
     ("#57606a", "#9198a1"),
+    ("#cf222e", "#ff7b72"),
 )
 """On a light and on a dark page."""
 

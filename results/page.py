@@ -83,13 +83,17 @@ That λ hardly matters is a claim about several values at once, and has a rule o
 between the best and the worst mean score. The claim *does not hold* if fewer than 5 % of random reassignments of the
 runs to the values of λ give a distance at least as large. Otherwise it *holds* if the upper end of the distance's
 interval is below 10 points; with fewer than three runs of a value it is *undecided*.
+
+The last line is ours. That an agent may infer a body's dynamics from the episode so far is what the paper's agents and
+this benchmark rest on: it asks whether seeing the episode is worth anything, of two agents that clone the same data.
 """
 
 ZERO_SHOT: Final = """\
 ## Scores without adaptation
 
 The counterpart of the paper's Tables 1, 2 and 7. FOCAL infers the dynamics from the episode so far; its authors give it
-data of the test task, which here is adaptation. What the paper gave it is not said.
+data of the test task, which here is adaptation. What the paper gave it is not said. MLP-BC is not the paper's: it
+clones the present state's action, and what Transformer-BC gains over it, it gains by seeing the episode so far.
 """
 
 ADAPTED: Final = """\
@@ -142,9 +146,9 @@ CHOICES: Final = """\
 By train dynamics that the runs held out (`--hold-out 4`), never by test dynamics, and on Hopper alone but for the
 target return: the other robots have what was chosen there. DADT, DT and Transformer-BC have the learning rate 0.001,
 constant as in the paper, and 5,000 steps: beyond some 3,000 the loss in held-out dynamics rises again at that rate, and
-the return there does not. On HalfCheetah DADT and DT are asked for 1,500, at which the mean of the two is highest: 443,
-and 300 at the paper's 3,000. These are one run each, so that neighbours differ by chance too. Half of the train
-dynamics have an episode that returns as much.
+the return there does not. MLP-BC has the same, for which nothing was tried. On HalfCheetah DADT and DT are asked for
+1,500, at which the mean of the two is highest: 443, and 300 at the paper's 3,000. These are one run each, so that
+neighbours differ by chance too. Half of the train dynamics have an episode that returns as much.
 """
 
 COMPUTE: Final = """\

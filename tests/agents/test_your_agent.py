@@ -57,7 +57,9 @@ sys.exit(pytest.main([*sys.argv[1:], "-k", "gru", "-q", "-p", "no:cacheprovider"
 
 def test_the_contract_tests_hold_for_it(tiny_data, tmp_path):
     """As for whoever follows the page: with the agent in `AGENTS`, the tests of all agents run on it too."""
-    files = [str(ROOT / "tests" / "agents" / f"test_{part}.py") for part in ("agents", "config", "train", "adapt")]
+    files = [
+        str(ROOT / "tests" / "agents" / f"test_{part}.py") for part in ("agents", "config", "dadt", "train", "adapt")
+    ]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(tiny_data)}
     command = [sys.executable, "-c", CONTRACT, *files, f"--rootdir={ROOT}", f"--basetemp={tmp_path / 'contract'}"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)

@@ -144,7 +144,7 @@ def test_an_empty_board_and_no_runs_make_a_page(tmp_path):
     (tmp_path / "board").mkdir()
     made = pages(tmp_path / "board", tmp_path / "kept")
     assert list(made) == [PAGE]
-    assert made[PAGE].count("**not run**") == 10
+    assert made[PAGE].count("**not run**") == 11
 
 
 def test_check_sees_a_page_that_is_stale(tmp_path, monkeypatch, capsys):
