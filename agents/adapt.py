@@ -39,6 +39,7 @@ from agents.threads import use_threads
 from dynagen_bench import ids
 from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.evaluation.traces import Traces, load_traces, physics_digest, save_traces
+from dynagen_bench.terminal import print_table
 
 
 def adapt(folder: Path, settings: AdaptationSettings) -> Path:
@@ -177,7 +178,7 @@ def choose_steps(folder: Path, settings: AdaptationSettings, points: Sequence[in
         returns = {name.label: read_json(parts / f"{name.label}.json")["mean_returns"] for name in names}
         write_curve(path, "steps", points, returns)
         shutil.rmtree(parts)
-    rich.print(curve_table("steps", points, returns, f"{folder.name}: return in held-out train dynamics"))
+    print_table(curve_table("steps", points, returns, f"{folder.name}: return in held-out train dynamics"))
     return path
 
 
@@ -201,7 +202,7 @@ def command(
         return
     result = adapt(run, settings)
     before = Evaluation.from_json(read_json(run / "evaluation.json")["evaluation"])
-    rich.print(comparison(before, read_result(result)))
+    print_table(comparison(before, read_result(result)))
     rich.print(f"written: {result}")
 
 

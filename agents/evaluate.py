@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-import rich
 import rich.table
 import tyro
 
@@ -24,6 +23,7 @@ from agents.validation import set_apart
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
 from dynagen_bench.evaluation import EPISODES, Policy, RandomPolicy, evaluate
+from dynagen_bench.terminal import print_table
 
 COMPARED: Final = ("trained", "untrained", "random")
 
@@ -110,7 +110,7 @@ def _command(
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
     try:
-        rich.print(tyro.cli(_command, prog="python -m agents.evaluate", args=arguments))
+        print_table(tyro.cli(_command, prog="python -m agents.evaluate", args=arguments))
     except (ValueError, OSError) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:

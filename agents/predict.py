@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-import rich
 import rich.table
 import tyro
 
@@ -22,6 +21,7 @@ from agents.run_folder import DATA, read_config
 from agents.threads import use_threads
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
+from dynagen_bench.terminal import print_table
 
 
 class Run(NamedTuple):
@@ -79,7 +79,7 @@ def predict(
             measured.setdefault(run.cell, []).append(errors.mean)
             unchanged[errors.robot] = float(errors.unchanged.mean())
     if measured:
-        rich.print(table(measured, unchanged))
+        print_table(table(measured, unchanged))
 
 
 def read_run(folder: Path) -> Run:

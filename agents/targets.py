@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Final
 
-import rich
 import tyro
 
 from agents.fine_tuning import TrainedRun, curve_table, held_out_names, write_curve
@@ -21,6 +20,7 @@ from agents.run_folder import TARGET_CURVE, locked
 from agents.threads import use_threads
 from dynagen_bench.datasets.scores import reference_scores
 from dynagen_bench.evaluation import evaluate
+from dynagen_bench.terminal import print_table
 
 SHARES: Final = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 """Of the highest return of an episode in the train data: what is asked for where no targets are given."""
@@ -90,7 +90,7 @@ def _command(
     for folder in runs:
         found = measure_targets(folder, targets)
         title = f"{folder.name}: return in held-out train dynamics"
-        rich.print(curve_table("asked for", [*found], _by_dynamics(found), title))
+        print_table(curve_table("asked for", [*found], _by_dynamics(found), title))
 
 
 def main(arguments: list[str] | None = None) -> None:

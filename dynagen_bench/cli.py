@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
-import rich
 import rich.table
 import tyro
 
@@ -27,6 +26,7 @@ from dynagen_bench.envs.pages import write_page
 from dynagen_bench.evaluation.baselines import baseline_submission
 from dynagen_bench.evaluation.submission import FILE_NAME, write_submission
 from dynagen_bench.pictures import render_video, write_gallery, write_strip
+from dynagen_bench.terminal import print_table
 from dynagen_bench.whole import check_writable
 
 Robot = Annotated[str, tyro.conf.Positional]
@@ -60,7 +60,7 @@ def dynamics_show(robot: Robot, label: Annotated[str, tyro.conf.Positional]) -> 
             )
             table.add_row(parameter.field, element, shown, f"{factors[i]:.3f}", scaled, parameter.unit)
         table.add_section()
-    rich.print(table)
+    print_table(table)
 
 
 def dynamics_draw(robot: Robot, seed: int, count: int = 1) -> None:

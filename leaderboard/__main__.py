@@ -11,6 +11,7 @@ import rich.progress
 import tyro
 
 from dynagen_bench.evaluation.submission import schema_text
+from dynagen_bench.terminal import print_table
 from leaderboard import board as boards
 from leaderboard.entries import read_entries, read_official
 from leaderboard.terminal import show_tables
@@ -62,7 +63,7 @@ def verify(
         print(f"leaderboard: {error}", file=sys.stderr)
         return 2
     for name, checks in found.items():
-        rich.console.Console().print(checks_table(name, checks))
+        print_table(checks_table(name, checks))
     faults = [fault for checks in found.values() for check in checks for fault in check.faults]
     for fault in faults:
         print(f"leaderboard: {fault}", file=sys.stderr)
@@ -103,7 +104,7 @@ def show(board: Path = boards.BOARD) -> None:
     Args:
         board: The board's folder, with entries/ and LEADERBOARD.md.
     """
-    show_tables(read_entries(board), rich.console.Console())
+    show_tables(read_entries(board))
 
 
 def schema() -> None:

@@ -5,26 +5,26 @@ What is here: `show_tables`. Called by the command line. It must not compute sco
 
 from collections.abc import Sequence
 
-import rich.console
 import rich.table
 from rich.text import Text
 
 from dynagen_bench import ids
+from dynagen_bench.terminal import print_table
 from leaderboard.entries import Entry
 from leaderboard.markdown import iqm_text, number_text, rank_text, score_text
 from leaderboard.standings import CHECKPOINTS, TRACKS, Cell, Row, Table, data_scores, standings
 
 
-def show_tables(entries: Sequence[Entry], console: rich.console.Console) -> None:
+def show_tables(entries: Sequence[Entry]) -> None:
     """Print one table a track and checkpoint, of the robots that somebody has a score on."""
     tables = standings(entries)
     if not tables:
-        console.print("There are no entries yet.")
+        print("There are no entries yet.")
     for table in tables:
         robots = [robot for robot in ids.ROBOTS if any(robot in row.cells for row in table.rows)]
-        console.print(_means(table, robots))
+        print_table(_means(table, robots))
         if any(cell.rank for row in table.rows for cell in row.cells.values()):
-            console.print(_ranks(table, robots))
+            print_table(_ranks(table, robots))
 
 
 def _means(table: Table, robots: Sequence[str]) -> rich.table.Table:

@@ -28,6 +28,7 @@ from dynagen_bench.datasets.manifest import RECORDS, ManifestEntry, add_to_manif
 from dynagen_bench.datasets.publishing import add_to_tree, send_dataset, send_namespaces
 from dynagen_bench.datasets.remotes import connect, namespace_of
 from dynagen_bench.datasets.scores import REFERENCE_FILE, Reference, reference_scores, write_reference_scores
+from dynagen_bench.terminal import print_table
 
 
 def build(
@@ -343,7 +344,7 @@ def _write_records(made: dict[ids.DynamicsId, DatasetRecord], every: int, record
 def _show(found: dict[str, DatasetRecord], records: Path) -> None:
     manifest = read_manifest(records)
     table = rich.table.Table(box=rich.box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("dataset", no_wrap=True)
+    table.add_column("dataset", overflow="fold")  # where there is no room for an id it goes on below; numbers do not
     for column in ("steps", "min", "mean", "max"):
         table.add_column(column, justify="right", no_wrap=True, min_width=7 if column == "steps" else 5)
     table.add_column("content", no_wrap=True, min_width=len("official") + 1)
@@ -352,7 +353,4 @@ def _show(found: dict[str, DatasetRecord], records: Path) -> None:
         content = "unlisted" if entry is None else "official" if entry.sha256 == record.sha256 else "differs"
         returns = [f"{record.returns[field]:.0f}" for field in ("min", "mean", "max")]
         table.add_row(dataset_id, f"{record.steps}", *returns, content)
-    console = rich.console.Console()
-    if not console.is_terminal:  # a file or a pipe has no edge at which to cut
-        console.width = max(console.width, console.measure(table).maximum)
-    console.print(table)
+    print_table(table)

@@ -189,6 +189,15 @@ def test_list_of_nothing(capsys):
     assert "dynagen data build" in capsys.readouterr().out
 
 
+def test_a_list_in_a_pipe_is_cut_nowhere(my_root, monkeypatch, tiny_records, capsys):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(my_root))
+    monkeypatch.setenv("COLUMNS", "40")
+    list_datasets(tiny_records)
+    lines = capsys.readouterr().out.splitlines()
+    wanted = {(name, "official") for name in minari.list_local_datasets()}
+    assert {(words[0], words[-1]) for words in map(str.split, lines) if len(words) == 6} >= wanted
+
+
 def test_a_damaged_record_is_named_and_hides_none(my_root, monkeypatch, tiny_records, capsys):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(my_root))
     file = dataset_folder(HOPPERS[1].dataset_id) / "data" / "metadata.json"

@@ -1,0 +1,20 @@
+"""A table on standard output, the one way that every command prints one.
+
+What is here: `print_table`. Called by the command lines. It must not know what a table says.
+"""
+
+from typing import Final
+
+import rich.console
+import rich.table
+
+UNBOUNDED: Final = 1000
+"""Columns of what has no edge, more than any table takes."""
+
+
+def print_table(table: rich.table.Table) -> None:
+    """Print a table; in a file or a pipe each line whole, however narrow the terminal is that it was started from."""
+    console = rich.console.Console()
+    if not console.is_terminal:
+        console.width = UNBOUNDED
+    console.print(table)
