@@ -58,7 +58,7 @@ def load(name: str | Path, robot: str | None = None) -> "Agent":
         robot: the robot whose stored weights (`agents/pretrained/`) are wanted.
 
     Raises:
-        FileNotFoundError: there is nothing of that name; the message tells what is stored.
+        FileNotFoundError: there is nothing of that name; for a robot's, the message tells what is stored.
         ValueError: the file is no checkpoint, or not one of an agent.
     """
     from agents.pretrained import load_agent  # here: it needs the dicts above

@@ -49,8 +49,8 @@ class AdaptationSettings:
 
     steps: int | None = None
     """Gradient steps for each dynamics; the paper gives no number, 2,000 if left out. In held-out train dynamics of
-    Hopper the mean return first falls, until some 500 steps, and still rises at 5,000, the last point measured
-    (docs/results.md, one run; `--curve` measures it). 2,000 is the default for its cost."""
+    Hopper the mean return first falls, is above its start again at 1,000, and still rises at 5,000, the last point
+    measured (docs/results.md, one run; `--curve` measures it). 2,000 is the default for its cost."""
     learning_rate: float | None = None
     """Constant; the paper's 1e-5 if left out, for an agent with parts of its own for each dynamics that of training."""
     weight_decay: float | None = None

@@ -1,7 +1,7 @@
 """MLP-BC: behaviour cloning by the present state alone, which cannot tell one body from another.
 
-What is here: a control, no baseline of the paper: what Transformer-BC gains over it, it gains by its history. Windows,
-loss and batches are Transformer-BC's. Called through `AGENTS`. It must not know the training loop.
+What is here: a control, no baseline of the paper. Windows, loss and batches are Transformer-BC's, which differs from it
+by the episode so far, the timestep and the net. Called through `AGENTS`. It must not know the training loop.
 
     input    sₜ
     net      2 × 256, relu

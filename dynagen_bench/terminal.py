@@ -3,6 +3,7 @@
 What is here: `print_table`. Called by the command lines. It must not know what a table says.
 """
 
+import sys
 from typing import Final
 
 import rich.console
@@ -15,6 +16,6 @@ UNBOUNDED: Final = 1000
 def print_table(table: rich.table.Table) -> None:
     """Print a table; in a file or a pipe each line whole, however narrow the terminal is that it was started from."""
     console = rich.console.Console()
-    if not console.is_terminal:
+    if not sys.stdout.isatty():  # `console.is_terminal` is what FORCE_COLOR says, in a pipe too
         console.width = UNBOUNDED
     console.print(table)

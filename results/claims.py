@@ -144,7 +144,7 @@ def claims(
         ),
         _robust(weights),
         _all(
-            "Cloning acts better if it sees the episode so far, and not the present state alone",
+            "Cloning with the episode so far acts better than by the present state alone",
             "not the paper's: a control",
             _than(zero, "Transformer-BC", "MLP-BC"),
         ),

@@ -85,15 +85,16 @@ runs to the values of λ give a distance at least as large. Otherwise it *holds*
 interval is below 10 points; with fewer than three runs of a value it is *undecided*.
 
 The last line is ours. That an agent may infer a body's dynamics from the episode so far is what the paper's agents and
-this benchmark rest on: it asks whether seeing the episode is worth anything, of two agents that clone the same data.
+this benchmark rest on: it compares two that clone the same data, one with the episode so far and one without. They
+differ in the timestep and the net, too: a difference is a sign, and no proof, of what seeing the episode is worth.
 """
 
 ZERO_SHOT: Final = """\
 ## Scores without adaptation
 
 The counterpart of the paper's Tables 1, 2 and 7. FOCAL infers the dynamics from the episode so far; its authors give it
-data of the test task, which here is adaptation. What the paper gave it is not said. MLP-BC is not the paper's: it
-clones the present state's action, and what Transformer-BC gains over it, it gains by seeing the episode so far.
+data of the test task, which here is adaptation. What the paper gave it is not said. MLP-BC is not the paper's: a
+control that clones the data by the present state alone.
 """
 
 ADAPTED: Final = """\

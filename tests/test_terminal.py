@@ -24,6 +24,7 @@ print_table(table)
 
 def test_in_a_pipe_each_line_is_whole(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv("COLUMNS", "30")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as CI services do
     table = rich.table.Table("dataset", "content")
     table.add_row(*LONG)
     print_table(table)

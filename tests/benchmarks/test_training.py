@@ -18,7 +18,7 @@ from agents.interface import RobotSpec
 from agents.learner import Learner
 from dynagen_bench.datasets import Normalization, WindowSampler, load_dataset
 from dynagen_bench.evaluation import evaluate
-from tests.agents.samples import SEQUENCE_AGENTS
+from tests.agents.samples import SEQUENCE_AGENTS, TRANSFORMERS, random_dataset
 from tests.benchmarks.yardstick import PlainDT
 
 YARDSTICK = "yardstick"
@@ -51,10 +51,18 @@ def steps_of(dataset) -> dict[str, Callable[[], object]]:
     plain = PlainDT(11, 3, 20)
     steps: dict[str, Callable[[], object]] = {YARDSTICK: lambda: plain.update(sampler.sample(64, rng))}
     for name in SEQUENCE_AGENTS:
-        for precision in ("bfloat16", "float32"):
-            learner = new_learner(name, dataset, precision=precision)
+        for precision in ("bfloat16", "float32") if name in TRANSFORMERS else ("float32",):
+            learner = new_learner(name, dataset, **({"precision": precision} if name in TRANSFORMERS else {}))
             steps[f"{name}, {precision}"] = lambda learner=learner: learner.update(sampler)
     return steps
+
+
+def test_all_that_is_timed_takes_its_step():
+    """Where nothing is timed, too: a new agent does not break the benchmarks unseen."""
+    steps = steps_of(random_dataset())
+    assert {name.split(",")[0] for name in steps} == {YARDSTICK, *SEQUENCE_AGENTS}
+    for step in steps.values():
+        step()
 
 
 def test_sixty_four_windows_of_twenty_steps(benchmark, dataset):

@@ -223,10 +223,12 @@ def test_a_narrow_terminal_cuts_no_word(tmp_path, board, capsys, monkeypatch):
     runs = {robot: [100.0, 101.0] for robot in ids.ROBOTS}
     write_submission(tmp_path, submission(runs, agent="trajectory_transformer"))
     assert main(["submit", str(tmp_path), "--board", str(board)]) == 0
-    monkeypatch.setenv("COLUMNS", "80")
     capsys.readouterr()
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "dumb")  # 80 columns, no colours
     assert main(["show", "--board", str(board)]) == 0
     shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 80
     assert "…" not in shown
     agent = "".join(line[1:].split("│")[0].strip() for line in shown.splitlines() if line.startswith("│"))
     assert agent.startswith("trajectory_transformer")

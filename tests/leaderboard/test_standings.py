@@ -9,6 +9,7 @@ from leaderboard.entries import Entry
 from leaderboard.published import PUBLISHED
 from leaderboard.standings import data_scores, dynamics_scores, run_scores, standings, task_scores
 from leaderboard.statistics import Estimate, Rank
+from leaderboard.terminal import show_tables
 from tests.evaluation.samples import submission, write_references
 
 
@@ -40,6 +41,15 @@ def test_bold_is_as_in_the_paper():
     assert bold["Transformer-BC"][:4] == [False] * 4
     assert bold["DT"][:4] == [True, True, True, False]
     assert bold["DADT"] == [True, True, False, True, True]
+
+
+def test_the_terminal_ranks_who_has_somebody_to_be_ranked_with(capsys):
+    one, single, other = (
+        entry(slug, {"Hopper": runs}) for slug, runs in (("a", [9.0, 8.0]), ("b", [9.0]), ("c", [7.0, 5.0]))
+    )
+    for entries, tables in (([one], 1), ([one, single], 1), ([one, single, other], 2)):
+        show_tables(entries)
+        assert capsys.readouterr().out.count("┏") == tables
 
 
 def test_interquartile_means_and_ranks_by_hand(references):
