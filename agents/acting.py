@@ -99,7 +99,7 @@ class ContextPolicy:
         self._returns = np.zeros(window, dtype=np.float32)
         self._timesteps = np.zeros(window, dtype=np.int64)
         self._mask = np.zeros(window, dtype=np.bool_)
-        self._wanted = np.full(lanes, self._target)  # (N,) float64, return still to be achieved
+        self._wanted = np.full(lanes, self._target, dtype=np.float64)  # (N,), return still to be achieved
         self._now = np.zeros(lanes, dtype=np.int64)  # (N,) steps done in the episode
 
     def predict(

@@ -129,6 +129,12 @@ class TransformerConfig(TrainingConfig):
         if self.embedding % self.heads:
             raise ValueError(f"embedding {self.embedding} does not divide into {self.heads} heads: choose a multiple")
 
+    def check_data(self, dataset: OfflineDataset) -> None:
+        """Raise ValueError if an episode is longer than any timestep that a transformer has an embedding of."""
+        super().check_data(dataset)
+        if len(dataset.episode_lengths) and (most := dataset.episode_lengths.max()) > HORIZON:
+            raise ValueError(f"an episode of the data has {most} steps: give data of episodes of at most {HORIZON}")
+
     @property
     def dtype(self) -> torch.dtype:
         """`precision`, as torch calls it."""

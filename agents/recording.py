@@ -66,6 +66,7 @@ def record_evaluation(learner: Learner, folder: Path, official: bool) -> dict[st
     mean_return = float(evaluation.returns.mean())  # orders as the score does, and needs no reference scores
     best = folder / "evaluation-best.json"
     if not best.is_file() or mean_return > Evaluation.from_json(read_json(best)["evaluation"]).returns.mean():
+        best.unlink(missing_ok=True)  # a kill before the third file leaves none of two steps: this is measured again
         save_traces(best.with_suffix(".safetensors"), traces)
         save_checkpoint(folder / "best.safetensors", dataclasses.replace(learner.checkpoint(), optimizer={}))
         write_json(best, record)

@@ -31,7 +31,7 @@ import dataclasses
 import fcntl
 import json
 import subprocess
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -155,12 +155,23 @@ def read_config(folder: Path) -> dict[str, Any]:
     if not isinstance(about["settings"].get("robot"), str) or not isinstance(about["settings"].get("seed"), int):
         raise ValueError(f"{path} tells no robot and seed: delete the run folder and train again")
     fields = (field for field in dataclasses.fields(RunSettings) if field.name not in ("robot", "runs"))
-    usual = TRAINABLE[about["agent"]][0]() if about["agent"] in TRAINABLE else TrainingConfig()
-    if (robot := about["settings"]["robot"]) in ids.ROBOTS:
-        usual = usual.for_robot(robot)
+    robot = about["settings"]["robot"]
     about["settings"] = {field.name: field.default for field in fields} | about["settings"]
-    about["config"] = dataclasses.asdict(usual) | about["config"]
+    about["config"] = usual_config(about["agent"], robot, about["config"].get("steps")) | about["config"]
     return about
+
+
+def usual_config(agent: str, robot: str, steps: int | None = None) -> dict[str, Any]:
+    """The config of a run of so many steps, or of as many as is usual, if nothing else is told.
+
+    Fields that follow the steps are filled in. Of an unknown agent it is what all have.
+
+    Raises:
+        ValueError: no agent trains for so many steps.
+    """
+    kind = TRAINABLE[agent][0] if agent in TRAINABLE else TrainingConfig
+    usual = kind() if steps is None else kind(steps=steps)
+    return dataclasses.asdict(usual.for_robot(robot) if robot in ids.ROBOTS else usual)
 
 
 @contextlib.contextmanager
@@ -297,9 +308,9 @@ class Curves:
             self._rows[-1][name] = f"{value:.7g}"
             self._board.add_scalar(name, value, step)
 
-    def points(self, name: str) -> list[float]:
-        """The values of one curve so far, as they are in the file: a continued run knows no others."""
-        return [float(row[name]) for row in self._rows if row.get(name)]
+    def points(self, name: str) -> list[tuple[int, float]]:
+        """The points (step, value) of one curve so far, as they are in the file: a continued run knows no others."""
+        return _points(self._rows, name)
 
     def save(self) -> None:
         """Write what there is, whole or not at all."""
@@ -321,4 +332,8 @@ def read_curve(folder: Path, name: str) -> list[tuple[int, float]]:
     if not path.is_file():
         return []
     with path.open(newline="", encoding="utf-8") as file:
-        return [(int(row["step"]), float(row[name])) for row in csv.DictReader(file) if row.get(name)]
+        return _points(csv.DictReader(file), name)
+
+
+def _points(rows: Iterable[Mapping[str, str]], name: str) -> list[tuple[int, float]]:
+    return [(int(row["step"]), float(row[name])) for row in rows if row.get(name)]

@@ -18,7 +18,16 @@ import tyro
 
 from agents import AGENTS
 from agents.fine_tuning import PAPER, AdaptationSettings
-from agents.run_folder import DATA, RunSettings, commit_of_all, is_committed, read_curve, read_finished, read_json
+from agents.run_folder import (
+    DATA,
+    RunSettings,
+    commit_of_all,
+    is_committed,
+    read_curve,
+    read_finished,
+    read_json,
+    usual_config,
+)
 from dynagen_bench import ids
 from dynagen_bench.evaluation.result import EpisodeRecord, first_error
 from dynagen_bench.evaluation.submission import MAX_POINTS, CurvePoint, Run, Submission, write_submission
@@ -201,7 +210,8 @@ def _commands(run: FinishedRun, checkpoint: str) -> list[str]:
     changed = _changed({key: settings[key] for key in wanted}, dataclasses.asdict(defaults))
     if "patience" in changed:  # and where it stops
         changed["evaluate_every"] = settings["evaluate_every"]
-    usual = dataclasses.asdict(AGENTS[agent][0]().for_robot(settings["robot"])) | {"precision": None}
+    usual = usual_config(agent, settings["robot"], run.config["config"]["steps"])
+    usual |= {"steps": AGENTS[agent][0].steps, "precision": None}
     options = _options(changed | _changed(run.config["config"], usual))
     commands = [" ".join([f"python -m agents.train {agent} --robot {settings['robot']}", *options])]
     if "adaptation" in run.record:

@@ -47,7 +47,7 @@ from agents.run_folder import (
 )
 from agents.threads import use_threads
 from agents.validation import Validation, check_patience, has_stalled, set_apart
-from dynagen_bench.datasets import OfflineDataset, load_dataset
+from dynagen_bench.datasets import Normalization, OfflineDataset, load_dataset
 from dynagen_bench.evaluation import Evaluation
 
 Parsed: TypeAlias = tuple[str, TrainingConfig, RunSettings]
@@ -96,14 +96,15 @@ def train(
         if last.is_file():
             checkpoint = load_checkpoint(last, agent=name, robot=settings.robot)
             check_same_run(last, _identity(checkpoint), _identity(learner.checkpoint()), instead="--name")
+            _check_same_data(folder, checkpoint.spec.normalization, normalization)
             learner.restore(checkpoint)
         if before is not None and learner.step > 0:  # the steps that are there were made by its commit
             description["commit"] = commit_of_all([before.get("commit"), description["commit"]])
         if learner.step > config.steps:
             raise ValueError(f"{folder} is at step {learner.step} already: give --steps {learner.step} or more")
         check_patience(name, learner.agent, settings.patience)
-        returns = [value for step, value in read_curve(folder, "validation_return") if step <= learner.step]
-        done = learner.step == config.steps or has_stalled(returns, settings.patience)
+        returns = [point for point in read_curve(folder, "validation_return") if point[0] <= learner.step]
+        done = learner.step == config.steps or has_stalled(returns, settings.evaluate_every, settings.patience)
         record, result = recorder(learner, settings, folder)
         if done and _is_complete(folder, result, before, learner.step):
             return folder
@@ -128,6 +129,19 @@ def _identity(checkpoint: Checkpoint) -> dict[str, Any]:
     """What tells runs apart, as far as a checkpoint tells it."""
     config = dataclasses.asdict(checkpoint.config)
     return identity({"agent": checkpoint.agent, "config": config, "settings": {"seed": checkpoint.seed}})
+
+
+def _check_same_data(folder: Path, there: Normalization, here: Normalization) -> None:
+    """Raise ValueError if a run was trained on other observations: data of as many steps may be others.
+
+    Another processor may round a mean otherwise, and goes on with the run.
+    """
+    pairs = ((there.mean, here.mean), (there.std, here.std))
+    if not all(np.allclose(old, new, rtol=1e-4, atol=1e-5) for old, new in pairs):
+        raise ValueError(
+            f"{folder} is of another run, its data had observations of another mean or deviation: give another --name, "
+            "or delete the folder"
+        )
 
 
 def _is_complete(folder: Path, result: Path, description: Mapping[str, Any] | None, step: int) -> bool:
@@ -172,7 +186,8 @@ def _run(
                 bars.update(bar, note="evaluating")
                 if validation is not None:
                     curves.add(step, validation.measure(learner.agent))
-                done = done or has_stalled(curves.points("validation_return"), settings.patience)
+                returns = curves.points("validation_return")
+                done = done or has_stalled(returns, settings.evaluate_every, settings.patience)
                 if not done:
                     curves.add(step, record(official=False))
             if done or step % settings.log_every == 0:
@@ -185,6 +200,8 @@ def _run(
                 curves.save()
                 save_checkpoint(folder / "last.safetensors", learner.checkpoint())
         bars.update(bar, note="evaluating")
+        if validation is not None and not any(at == learner.step for at, _ in curves.points("validation_loss")):
+            curves.add(learner.step, validation.measure(learner.agent))  # it ends where it was once killed
         curves.add(learner.step, record(official=True))
     curves.save()
 

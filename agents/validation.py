@@ -86,6 +86,11 @@ def check_patience(name: str, agent: Trainable, patience: int) -> None:
         raise ValueError(f"patience is {patience}: {name} learns in phases, and ends with the last one; give 0")
 
 
-def has_stalled(returns: Sequence[float], patience: int) -> bool:
-    """Whether none of the last `patience` returns beats the best before them; always False of patience 0."""
+def has_stalled(points: Sequence[tuple[int, float]], every: int, patience: int) -> bool:
+    """Whether none of the last `patience` returns beats the best before them; always False of patience 0.
+
+    Of the points (step, return) those at every `every` steps count: a run that was once shorter has one more, at its
+    end then, and stops where a run does that was never shorter.
+    """
+    returns = [value for step, value in points if patience and step % every == 0]
     return 0 < patience < len(returns) and max(returns[-patience:]) <= max(returns[:-patience])

@@ -26,21 +26,22 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agents import AGENTS
 from agents.prediction import PREDICTION
 from agents.run_folder import (
     ADAPTATION_CURVE,
     LEARNED,
     TARGET_CURVE,
+    ends_run,
     is_committed,
     read_config,
-    read_curve,
     read_json,
     write_json,
 )
 from agents.summary.runs import Run, read_runs
 from dynagen_bench.datasets.scores import normalized_score
 from dynagen_bench.evaluation import Evaluation
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import exclusively, whole_folder
 from leaderboard.statistics import Scores
 
 FOLDER: Final = Path(__file__).parent
@@ -88,13 +89,12 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
     for run, about in found.items():
         settings = {key: value for key, value in about["settings"].items() if key not in _OF_A_MACHINE}
         place = folder / "runs" / group / run.name
-        write_json(place / "config.json", about | {"settings": settings, "command": _plain(about.get("command"))})
-        for name in _COPIED:
-            if (run / name).is_file():
-                with whole_file(place / name) as unfinished:
-                    shutil.copyfile(run / name, unfinished)
-            else:  # of the run that this one replaces
-                (place / name).unlink(missing_ok=True)
+        with exclusively(place), whole_folder(place) as unfinished:
+            told = about | {"settings": settings, "command": _plain(about.get("command"))}
+            write_json(unfinished / "config.json", told)
+            for name in _COPIED:
+                if (run / name).is_file():
+                    shutil.copyfile(run / name, unfinished / name)
         kept.append(place)
     return kept
 
@@ -107,7 +107,7 @@ def _checked(run: Path) -> dict[str, Any]:
     commit = about.get("commit")
     if not is_committed(commit):
         raise ValueError(f"{run} was made by {commit or 'no commit'}: commit the code and train it again")
-    _check_finished(run, about["config"]["steps"])
+    _check_finished(run, about)
     return about
 
 
@@ -123,18 +123,16 @@ def _plain(command: str | None) -> str | None:
     return shlex.join(kept) or None
 
 
-def _check_finished(run: Path, steps: int) -> None:
-    """Raise ValueError if training has not come to its last step, nor ended early by held-out dynamics.
+def _check_finished(run: Path, about: Mapping[str, Any]) -> None:
+    """Raise ValueError if a run has no official result of its last step, or of where held-out dynamics ended it.
 
     And if its next-state errors, or its returns in train dynamics, are those of another step.
     """
-    result, curve = run / EVALUATION, read_curve(run, "loss")
-    last = curve[-1][0] if curve else 0
-    evaluation = read_json(result) if result.is_file() else {}
-    if evaluation.get("stopped_early"):  # between two points of the curve
-        last = evaluation["gradient_steps"]
-    elif last != steps:
-        raise ValueError(f"{run} is at step {last} of {steps}: train it to the end first")
+    steps, result = about["config"]["steps"], run / (EVALUATION if about["agent"] in AGENTS else PREDICTION)
+    official = read_json(result) if result.is_file() else {}
+    last = official.get("gradient_steps", 0)
+    if not ends_run(official, steps):
+        raise ValueError(f"{run} has a result of step {last} of {steps}: train it to the end first")
     for file, command in ((run / PREDICTION, "agents.predict"), (run / LEARNED, "agents.evaluate")):
         if file.is_file() and (measured := read_json(file)["gradient_steps"]) != last:
             raise ValueError(f"{file} is of step {measured}, the run is at step {last}: run {command} again")

@@ -8,9 +8,8 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-from agents import TRAINABLE
 from agents.evaluate import COMPARED
-from agents.run_folder import DATA, RunSettings
+from agents.run_folder import DATA, RunSettings, usual_config
 from agents.summary.builder import final_text
 from agents.summary.intervals import Estimate, estimate
 from agents.summary.runs import Run, grouped
@@ -141,7 +140,7 @@ TOLD: Final = ("steps", "batch_size", "learning_rate", "warmup_steps", "decay_st
 def _other_settings(run: Run) -> str:
     """What else of a run's config and data is not the default, by the options' names; – for nothing."""
     config = run.about["config"]
-    usual = dataclasses.asdict(TRAINABLE[run.about["agent"]][0]().for_robot(run.facts["robot"]))
+    usual = usual_config(run.about["agent"], run.facts["robot"], config["steps"])
     changed = {key: value for key, value in config.items() if key not in TOLD and value != usual.get(key, value)}
     settings, whole = run.about["settings"], dataclasses.asdict(RunSettings(run.facts["robot"]))
     changed |= {key: settings[key] for key in (*DATA, "patience") if settings.get(key, whole[key]) != whole[key]}
@@ -172,9 +171,11 @@ def held_out(runs: Sequence[Run]) -> str:
     """What was chosen by held-out train dynamics: the last validation return of each value tried."""
     lines = []
     for group in grouped(runs):
-        returns, losses = (group.curves(name) for name in ("validation_return", "validation_loss"))
-        means = [estimate([curve[max(curve)] for curve in curves]) if curves else None for curves in (returns, losses)]
-        whole = [sum(curve.values()) / len(curve) for curve in returns]
+        means = []
+        for name in ("validation_return", "validation_loss"):  # each at its own end: patience ends runs apart
+            ends = [curve[max(curve)] for run in group.runs if (curve := run.curves.get(name))]
+            means.append(estimate(ends) if ends else None)
+        whole = [sum(curve.values()) / len(curve) for curve in group.curves("validation_return")]
         overall = estimate(whole) if whole else None
         lines.append(
             [escape(group.label), group.robot, *(_estimate_text(one) for one in (means[0], overall, means[1]))]

@@ -133,7 +133,8 @@ def grouped(runs: Sequence[Run]) -> list[Group]:
         ]
         told = [f"{key.replace('_', '-')} {_plain(facts[key])}" for key in differing if facts.get(key) is not None]
         told += [f"again{f' ({again})' * (again > 1)}"] if again else []
-        order = (facts["robot"], facts["agent"], *(_sortable(facts.get(key)) for key in differing), again)
+        # pairs throughout: the agent's groups on another robot may differ in fewer facts, and are sorted with these
+        order = (facts["robot"], facts["agent"], *(_sortable(facts.get(key)) for key in differing), _sortable(again))
         groups.append(Group(facts["robot"], ", ".join([facts["agent"], *told]), order, tuple(some)))
     return sorted(groups, key=lambda group: group.order)
 

@@ -23,7 +23,7 @@ import dataclasses
 import warnings
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,13 @@ from dynagen_bench.datasets.subsets import (
     spread_episodes,
     worst_episodes,
 )
+
+_DTYPES: Final[dict[str, type]] = {
+    **dict.fromkeys(("observations", "actions", "rewards", "returns_to_go"), np.float32),
+    **dict.fromkeys((f"episode_{what}" for what in ("starts", "lengths", "dynamics", "snapshots", "seeds")), np.int64),
+    "episode_returns": np.float64,
+    "episode_terminated": np.bool_,
+}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -76,8 +83,14 @@ class OfflineDataset:
     episode_terminated: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
-        """Check that the arrays fit together and that each episode has rows of its own; raises ValueError if not."""
+        """Check that the arrays have their types, fit together, and that each episode has rows of its own.
+
+        Raises:
+            ValueError: one line, naming the array or the episode.
+        """
         for field in dataclasses.fields(self)[2:]:
+            if (kind := getattr(self, field.name).dtype) != _DTYPES[field.name]:
+                raise ValueError(f"{field.name} is of {kind}: give {np.dtype(_DTYPES[field.name])}")
             model = "episode_lengths" if field.name.startswith("episode_") else "observations"
             found, expected = len(getattr(self, field.name)), len(getattr(self, model))
             if found != expected:

@@ -92,11 +92,12 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
                 rendering arguments.
 
         Raises:
-            ValueError: an unknown split, index, mode or element; fewer than one sub-environment; more indices or
+            ValueError: an unknown robot, split, index, mode or element; fewer than one sub-environment; more indices or
                 dynamics than sub-environments; `dynamics` beside a choice from the benchmark's own; a number of steps
                 or threads that is none.
             TypeError: an unknown keyword, or one that would not act.
         """
+        ids.check_robot(robot)
         count = ids.whole_number(num_envs)
         if count is None or count < 1:
             raise ValueError(f"num_envs is {num_envs!r}: give a whole number from 1 on")
@@ -163,15 +164,16 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         Raises:
             ValueError: a seed of another form, a list of another length, or a mask of another shape or type, or that
                 names none.
+            gymnasium.error.Error: a seed that is no whole number from 0 on; nothing has been reset.
         """
         first = ids.whole_number(seed)
         seeds = self._seeds(seed) if first is None else [first + i for i in range(self.num_envs)]
         if first is not None:
             super().reset(seed=first)
         rows = self._masked(options)
-        for i in rows:
-            if self._rngs[i] is None or seeds[i] is not None:
-                self._rngs[i] = seeding.np_random(seeds[i])[0]
+        new = [(i, seeding.np_random(seeds[i])[0]) for i in rows if self._rngs[i] is None or seeds[i] is not None]
+        for i, rng in new:
+            self._rngs[i] = rng
         self._started = True
         infos: Infos = {}
         self._start(rows, infos)

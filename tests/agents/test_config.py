@@ -9,6 +9,7 @@ from agents import AGENTS
 from agents.config import fast_precision
 from agents.dadt import DADTConfig
 from agents.dt import DTConfig
+from tests.agents.samples import random_dataset, tiny_config
 
 TABLE_6 = {
     "layers": 3,
@@ -41,6 +42,12 @@ def test_what_the_agents_add_to_table_6():
         assert DTConfig().for_robot(robot).target_return == target
         assert DADTConfig().for_robot(robot).target_return == target
         assert DADTConfig(target_return=7.0).for_robot(robot).target_return == 7.0
+
+
+def test_a_transformer_is_trained_on_no_longer_episodes_than_it_can_act_in(transformer):
+    tiny_config(transformer).check_data(random_dataset(lengths=(200,)))
+    with pytest.raises(ValueError, match="an episode of the data has 201 steps: give data of episodes of at most 200"):
+        tiny_config(transformer).check_data(random_dataset(lengths=(9, 201)))
 
 
 def test_learning_rate_grows_linearly_then_stays(name):

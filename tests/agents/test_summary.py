@@ -45,6 +45,14 @@ def test_an_interval_by_hand():
     assert estimate([5.0, 5.0]).interval == (5.0, 5.0)
 
 
+def test_a_page_of_robots_on_which_an_agent_differs_in_other_facts(tmp_path):
+    for weight in (0.5, 0.05):
+        write_run(tmp_path, next_state_weight=weight)
+    write_run(tmp_path, robot="Ant")
+    page = summary_page(read_runs(tmp_path))
+    assert "next-state-weight 0.5" in page
+
+
 def test_groups_differ_in_more_than_their_seed(tmp_path):
     for weight in (0.5, 0.05, 0.1):
         for seed in (2, 1):

@@ -101,6 +101,41 @@ def test_more_steps_continue_a_finished_run_and_fewer_are_refused(tmp_path):
     assert contents(folder) == before
 
 
+def test_a_run_goes_on_with_no_other_data_of_the_same_size(tmp_path):
+    folder = train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset())
+    other = random_dataset()
+    moved = dataclasses.replace(other, observations=5 * other.observations + 3)
+    before = contents(folder)
+    with pytest.raises(ValueError, match="is of another run, its data had observations of another mean or deviation"):
+        train("dt", tiny_config("dt", steps=4), settings(tmp_path), moved)
+    assert contents(folder) == before
+
+
+def test_a_kill_while_the_best_result_is_written_leaves_none_of_two_steps(tmp_path, monkeypatch):
+    folder = train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset())
+    file = folder / "evaluation-best.json"
+    record = json.loads(file.read_text())
+    record["evaluation"]["returns"] = np.full((5, 10), -1000.0).tolist()  # whatever comes is better
+    file.write_text(json.dumps(record))
+
+    def stopped(path, content):
+        if path == file:
+            raise KeyboardInterrupt
+        write_json(path, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("agents.recording.write_json", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            train("dt", tiny_config("dt", steps=4), settings(tmp_path), random_dataset())
+    assert not file.exists()
+    train("dt", tiny_config("dt", steps=4), settings(tmp_path), random_dataset())
+    assert load_checkpoint(folder / "best.safetensors").step == json.loads(file.read_text())["gradient_steps"] == 4
+
+
+def test_a_target_is_a_number_of_any_kind(tmp_path):
+    train("dt", tiny_config("dt", steps=1, target_return=1000), settings(tmp_path), random_dataset())
+
+
 def test_what_was_measured_at_an_earlier_step_goes_when_the_run_goes_on(tmp_path):
     folder = train("dt", tiny_config("dt", steps=2), settings(tmp_path), random_dataset())
     for name in (LEARNED, ADAPTATION_CURVE, TARGET_CURVE):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from agents.checkpoint import load_checkpoint
 from agents.learner import Learner
 from agents.mlp import MLPConfig
-from agents.run_folder import read_finished, read_json, write_json
+from agents.run_folder import read_curve, read_finished, read_json, write_json
 from agents.train import train
 from agents.validation import BATCHES, Validation, check_patience, has_stalled, held_out_indices, set_apart
 from dynagen_bench.datasets import WindowSampler
@@ -70,7 +70,10 @@ def test_the_measures_are_the_loss_without_dropout_and_the_return():
 def test_training_has_stalled_where_no_record_is_among_the_last(returns, patience):
     records = [i for i, value in enumerate(returns) if not returns[:i] or value > max(returns[:i])]
     expected = bool(patience and records and len(returns) - 1 - records[-1] >= patience)
-    assert has_stalled(returns, patience) == expected
+    points = [(10 * n, value) for n, value in enumerate(returns, start=1)]
+    assert has_stalled(points, 10, patience) == expected
+    odd = sorted([*points, *((step + 5, value) for step, value in points)])  # ends of runs that were continued
+    assert has_stalled(odd, 10, patience) == expected
 
 
 def stopping(tmp_path, **changes):
@@ -104,6 +107,31 @@ def test_a_run_stops_early_and_says_so_and_is_the_same_when_it_was_killed(tmp_pa
         with pytest.raises(KeyboardInterrupt):
             train("dt", config, cut, dataset)
     assert [row["step"] for row in curves(train("dt", config, cut, dataset))] == ["2", "4", "6"]
+
+
+def test_a_run_that_was_shorter_once_stops_where_one_does_that_never_was(tmp_path):
+    dataset, config = dataset_of(0, 19), tiny_config("dt", learning_rate=0.0, steps=12)  # no return is better
+    for steps in (3, 12):
+        looking = stopping(tmp_path, log_every=1)
+        folder = train("dt", dataclasses.replace(config, steps=steps), looking, dataset)
+    assert json.loads((folder / "evaluation.json").read_text())["gradient_steps"] == 6
+
+
+def test_a_run_that_ends_where_it_was_killed_is_measured_there(tmp_path, monkeypatch):
+    dataset, update = dataset_of(0, 19), Learner.update
+
+    def stopped(self, sampler):
+        if self.step == 3:
+            raise KeyboardInterrupt
+        return update(self, sampler)
+
+    looking = stopping(tmp_path, patience=0, log_every=1, checkpoint_every=3)
+    with monkeypatch.context() as patch:
+        patch.setattr(Learner, "update", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            train("dt", tiny_config("dt", steps=12), looking, dataset)
+    folder = train("dt", tiny_config("dt", steps=3), looking, dataset)
+    assert [step for step, _ in read_curve(folder, "validation_return")] == [2, 3]
 
 
 def test_a_run_that_stops_between_two_lines_of_its_curve_has_the_last_one_too(tmp_path):

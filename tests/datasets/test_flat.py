@@ -330,6 +330,14 @@ def test_arrays_that_do_not_fit_together_are_refused():
         dataclasses.replace(three_step_episodes(), episode_seeds=np.array([1]))
 
 
+@pytest.mark.parametrize(("name", "kind"), [("actions", "float64"), ("episode_lengths", "int32")])
+def test_arrays_of_another_type_are_refused(name, kind):
+    data = three_step_episodes()
+    wanted = getattr(data, name).dtype
+    with pytest.raises(ValueError, match=f"^{name} is of {kind}: give {wanted}$"):
+        dataclasses.replace(data, **{name: getattr(data, name).astype(kind)})
+
+
 def test_two_processes_make_the_arrays_once(own_data):
     own_data()
     code = "from dynagen_bench.datasets import load_dataset; print(load_dataset('Hopper', 'test').rewards.sum())"

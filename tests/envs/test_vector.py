@@ -11,6 +11,7 @@ import dynagen_bench  # noqa: F401, registers
 from dynagen_bench import ids
 from dynagen_bench.dynamics import Dynamics, load_dynamics
 from dynagen_bench.envs import HORIZON
+from dynagen_bench.envs.vector import RandomDynamicsVector
 
 MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]
 
@@ -303,6 +304,21 @@ def test_bad_actions_never_reach_the_physics(actions, message):
         env.step(actions)
     np.testing.assert_array_equal(env.unwrapped.physics.states, before)
     env.step(np.zeros((2, 3)))  # and the episode goes on
+
+
+def test_an_unknown_robot_is_named_whatever_its_dynamics():
+    for chosen in ({}, {"dynamics": {}}):
+        with pytest.raises(ValueError, match=r"unknown robot 'hopper'.*did you mean 'Hopper'"):
+            RandomDynamicsVector("hopper", 2, **chosen)
+
+
+def test_a_bad_seed_resets_nothing():
+    env, same = (gymnasium.make_vec("Hopper-RandDyn-v0", num_envs=2) for _ in range(2))
+    for one in (env, same):
+        one.reset(seed=3)
+    with pytest.raises(gymnasium.error.Error, match="Seed must be greater or equal to zero, actual value: -1"):
+        env.reset(seed=[5, -1])
+    np.testing.assert_array_equal(env.reset()[0], same.reset()[0])  # the generators go on
 
 
 def test_order_and_arguments_of_reset_are_checked():

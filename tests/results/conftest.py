@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from agents import AGENTS
 from dynagen_bench.datasets import scores
 from tests.evaluation.samples import evaluation, write_references
 
@@ -35,8 +36,8 @@ def trained(tmp_path):
         (folder / "config.json").write_text(json.dumps(about))
         last = "" if score is None else f"{score}"
         (folder / "curves.csv").write_text(f"step,loss,seconds,test_score\n100,1.0,30,\n200,0.5,60,{last}\n")
-        if score is not None:
-            result = {"gradient_steps": 200, "evaluation": evaluation(robot, 2 * score).to_json()}
+        if agent in AGENTS:
+            result = {"gradient_steps": 200, "evaluation": evaluation(robot, 2 * (score or 0.0)).to_json()}
             (folder / "evaluation.json").write_text(json.dumps(result))
         if errors is not None:
             prediction = {"robot": robot, "split": "test", "errors": errors, "unchanged": [0.09] * 5}

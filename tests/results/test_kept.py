@@ -13,7 +13,12 @@ from results.kept import compute_times, held_out_curves, keep, keep_compute, kep
 
 def test_a_kept_run_has_its_curves_and_no_weights_nor_paths(trained, tmp_path):
     (place,) = keep([trained("dadt", errors=[0.1] * 5)], "reference", tmp_path / "kept")
-    assert {path.name for path in place.iterdir()} == {"config.json", "curves.csv", "prediction.json"}
+    assert {path.name for path in place.iterdir()} == {
+        "config.json",
+        "curves.csv",
+        "evaluation.json",
+        "prediction.json",
+    }
     assert "somebody" not in (place / "config.json").read_text()
     (run,) = kept_runs("reference", tmp_path / "kept")
     assert run.about["command"] == "python -m agents.train dadt --seed 0"
@@ -84,8 +89,12 @@ def test_only_runs_of_committed_code_are_kept(trained, tmp_path, commit):
 
 def test_only_finished_runs_are_kept(trained, tmp_path):
     run = trained("dadt", steps=300)
-    with pytest.raises(ValueError, match="is at step 200 of 300: train it to the end first"):
-        keep([run], "reference", tmp_path / "kept")
+    for official in ("evaluation.json", "nothing"):  # killed before the evaluation of its last step, it has none
+        with pytest.raises(ValueError, match=r"has a result of step (200|0) of 300: train it to the end first"):
+            keep([run], "reference", tmp_path / "kept")
+        (run / official).unlink(missing_ok=True)
+    with pytest.raises(ValueError, match=r"has a result of step 0 of 200: train it to the end first"):
+        keep([trained("mlp")], "reference", tmp_path / "kept")  # whose result is its errors
     # a run may stop between two points of its curve: its errors are then of the step at which it did
     (run / "evaluation.json").write_text(json.dumps({"stopped_early": True, "gradient_steps": 250}))
     (run / "prediction.json").write_text(json.dumps({"gradient_steps": 250}))
@@ -102,7 +111,21 @@ def test_what_a_run_has_lost_is_not_left_from_the_one_it_replaces(trained, tmp_p
     keep([run], "reference", tmp_path / "kept")
     (run / "prediction.json").unlink()
     (place,) = keep([run], "reference", tmp_path / "kept")
-    assert {path.name for path in place.iterdir()} == {"config.json", "curves.csv"}
+    assert {path.name for path in place.iterdir()} == {"config.json", "curves.csv", "evaluation.json"}
+
+
+def test_an_interruption_leaves_what_was_kept_before(trained, tmp_path, monkeypatch):
+    (place,) = keep([trained("dadt", seed=0)], "reference", tmp_path / "kept")
+    before = {path.name: path.read_bytes() for path in place.iterdir()}
+    other = trained("dadt", seed=1).rename(tmp_path / place.name)
+
+    def stopped(source, target):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(shutil, "copyfile", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        keep([other], "reference", tmp_path / "kept")
+    assert {path.name: path.read_bytes() for path in place.iterdir()} == before
 
 
 def test_a_run_has_its_name_also_where_it_is_the_working_directory(trained, tmp_path, monkeypatch):

@@ -46,7 +46,7 @@ def made(board, trained, tmp_path):
     (tmp_path / "kept/runs/reference/dadt/evaluation-train.json").parent.mkdir()
     (tmp_path / "kept/runs/reference/dadt/evaluation-train.json").write_text(json.dumps(learned))
     low = [trained("dadt", seed, score=20.0 + 2 * seed, settings={"quality": 0.3}) for seed in range(2)]
-    keep([*low, trained("mlp", score=5.0, settings={"quality": 0.3})], "low-quality", tmp_path / "kept")
+    keep([*low, trained("merpo", score=5.0, settings={"quality": 0.3})], "low-quality", tmp_path / "kept")
     weights = [trained("dadt", seed, score=30.0 + 4 * seed, next_state_weight=0.1) for seed in range(2)]
     keep(weights, "next-state-weight", tmp_path / "kept")
     acting = {"dadt": 0.01, "focal": 0.001}
@@ -90,7 +90,7 @@ def test_low_quality_data_and_weights_stand_beside_what_they_are_compared_with(m
     assert on_all_data.startswith("| on all data | – | ")
     score = float(on_all_data.split("|")[3].split("±")[0])
     assert f"| DADT | – | {score:.2f} ± " in made[PAGE]  # as on the board
-    assert "| mlp | – | 5 (1 run) | – | – | – |" in lines  # no entry of the board to stand beside
+    assert "| MerPO | – | 5 (1 run) | – | – | – |" in lines  # no entry of the board to stand beside
     assert "| 0.1 | – | 32.00 ± 2.83 (2 runs) | – | – | – | 45.97 ± 20.93 |" in lines
     reference = "| 0.05 | – | 40.500 ± 0.707 (2 runs) | – | – | – | 46.17 ± 20.74 |"  # these runs are kept once
     assert reference in lines

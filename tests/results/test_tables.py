@@ -1,5 +1,6 @@
 """Hand-computed cells: time and energy of runs and of the paper's budget."""
 
+from agents.summary.runs import read_runs
 from results import tables
 from results.kept import keep, kept_runs
 
@@ -33,3 +34,20 @@ def test_time_and_energy_of_a_run_are_means_over_its_seeds(trained, tmp_path):
 def test_a_part_of_the_data_is_told(trained, tmp_path):
     keep([trained("dadt", settings={"quality": 0.3, "hold_out": 4})], "reference", tmp_path / "kept")
     assert cells(tables.training(kept_runs("reference", tmp_path / "kept")), 2)[6] == "quality 0\\.3, hold-out 4"
+
+
+def test_what_follows_the_steps_is_not_told_as_changed(trained, tmp_path):
+    # half of 200 steps are MerPO's first phase if nothing is said; half of its usual 20,000 are then a change
+    for seed, first, told in ((0, 100, "–"), (1, 10_000, "model-steps 10000")):
+        folder = tmp_path / f"kept{seed}"
+        keep([trained("merpo", seed, model_steps=first)], "reference", folder)
+        assert told in cells(tables.training(kept_runs("reference", folder)), 2)[6]
+
+
+def test_each_run_ends_at_its_own_step(trained):
+    runs = [trained("dadt", seed, settings={"hold_out": 4}) for seed in range(2)]
+    for run, points in zip(runs, ((100, 200), (100, 200, 400)), strict=True):  # patience has ended the first
+        lines = [f"{100 * (n + 1)},1,0.5,{value}" for n, value in enumerate(points)]
+        (run / "curves.csv").write_text("\n".join(["step,loss,validation_loss,validation_return", *lines]) + "\n")
+    found = cells(tables.held_out(read_runs(runs[0].parent)), 2)
+    assert found[2].startswith("300 ")  # 200 and 400
