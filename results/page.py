@@ -52,6 +52,9 @@ CURVES: Final = {
 VARIED: Final = {"low-quality": "agent", "next-state-weight": "next_state_weight"}
 """Group of kept runs, of the paper's Figure 5 and Table 4 → what differs in it."""
 
+ACTS_AS_DT: Final = "dt_plus"
+"""Acts by the frozen parameters of a DT: a curve of its own would be DT's, and a flat line on."""
+
 TITLES: Final = {"low-quality": "On low-quality data", "next-state-weight": "By the weight of the next state's error"}
 """The same groups → what they are called in the list of what was run."""
 
@@ -242,7 +245,7 @@ def _learning(folder: Path) -> list[str]:
 def _figures(robot: str, runs: Sequence[Run], errors: Sequence[Errors]) -> dict[str, str]:
     """File → SVG, of a robot that there are runs of."""
     found = {}
-    groups = [group for group in grouped(runs) if group.robot == robot]
+    groups = [group for group in grouped(runs) if group.robot == robot and group.runs[0].about["agent"] != ACTS_AS_DT]
     curves = {group.label: scores for group in groups if (scores := group.curves("test_score"))}
     if curves:
         found[f"{DRAWINGS}/{robot.lower()}-curves.svg"] = learning_curves(robot, curves)
