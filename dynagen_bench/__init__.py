@@ -16,7 +16,7 @@ from dynagen_bench.datasets import (
 )
 from dynagen_bench.dynamics import Dynamics, draw_dynamics, load_dynamics
 from dynagen_bench.envs import register_environments
-from dynagen_bench.evaluation import Evaluation, Policy, action_space, evaluate
+from dynagen_bench.evaluation import Evaluation, Policy, action_space, evaluate, returns_in
 from dynagen_bench.ids import ROBOTS
 
 __all__ = [
@@ -38,6 +38,7 @@ __all__ = [
     "Policy",
     "action_space",
     "evaluate",
+    "returns_in",
     # the package
     "__version__",
 ]

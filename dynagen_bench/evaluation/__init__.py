@@ -3,7 +3,7 @@
 from dynagen_bench.evaluation.baselines import RandomPolicy, data_returns
 from dynagen_bench.evaluation.policy import Policy, RewardAware
 from dynagen_bench.evaluation.result import Evaluation
-from dynagen_bench.evaluation.rollout import EPISODES, SEED, action_space, evaluate, reset_seeds
+from dynagen_bench.evaluation.rollout import EPISODES, SEED, action_space, evaluate, reset_seeds, returns_in
 
 __all__ = [
     "EPISODES",
@@ -16,4 +16,5 @@ __all__ = [
     "data_returns",
     "evaluate",
     "reset_seeds",
+    "returns_in",
 ]

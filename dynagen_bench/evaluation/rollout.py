@@ -1,12 +1,12 @@
 """The evaluation protocol: one policy, some dynamics, a fixed number of episodes in each, all at the same time.
 
-What is here: `evaluate` and the reset seeds it takes. Called by users, training and the demo. It must not know agents:
-a policy is whatever has the methods of `policy.Policy`.
+What is here: `evaluate` and the reset seeds it takes; `returns_in`, the same in bodies of one's own. Called by users,
+training and the demo. It must not know agents: a policy is whatever has the methods of `policy.Policy`.
 """
 
 import functools
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import gymnasium
@@ -18,11 +18,11 @@ import rich.progress
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
-from dynagen_bench.dynamics import load_dynamics
+from dynagen_bench.dynamics import Dynamics, load_dynamics
 from dynagen_bench.envs import HORIZON, BatchPhysics
 from dynagen_bench.evaluation.policy import Policy, RewardAware
 from dynagen_bench.evaluation.result import Evaluation
-from dynagen_bench.evaluation.traces import Recorder, physics_digest
+from dynagen_bench.evaluation.traces import Recorder, Traces, physics_digest
 
 EPISODES: Final = 10
 """Episodes in each dynamics (paper, section 5.1)."""
@@ -97,32 +97,62 @@ def evaluate(
         ValueError: an unknown robot, split or index, no episode, a seed that is no whole number from 0 on, an answer
             that is not (actions, state), or actions of a wrong shape or not finite.
     """
-    if not isinstance(policy, Policy):
-        raise TypeError(
-            f"{type(policy).__name__} has no method predict(observation, ...): see dynagen_bench.evaluation.Policy"
-        )
-    _check_signature(policy)
+    _check_policy(policy)
     chosen = tuple(name.index for name in ids.choose_ids(robot, split, indices))
     seeds = reset_seeds(robot, split, chosen, episodes, seed)
     drawn = [load_dynamics(robot, split, index) for index in chosen]
-    physics = BatchPhysics(robot, [dynamics for dynamics in drawn for _ in range(episodes)])
-    with rich.progress.Progress(console=rich.console.Console(stderr=True), disable=not progress) as bar:
-        task = bar.add_task(f"evaluating in {robot} {split}", total=HORIZON)
+    told = f"evaluating in {robot} {split}" if progress else None
+    returns, lengths, kept = _episodes(policy, robot, drawn, seeds, traces, told)
+    return Evaluation(robot, split, chosen, returns, lengths, seeds, mujoco.__version__, physics_digest(robot), kept)
+
+
+def returns_in(
+    policy: Policy,
+    robot: str,
+    dynamics: Sequence[Mapping[str, Any]],
+    *,
+    episodes: int = EPISODES,
+    seed: int = SEED,
+    progress: bool = False,
+) -> NDArray[np.float64]:
+    """Let a policy act in bodies of one's own; returns (len(dynamics), episodes), undiscounted.
+
+    As `evaluate`, but for the start states: they are those of `split="nominal"` in every body, so that what differs
+    between two rows is the body alone. No score follows from them: its scale is that of the test bodies.
+
+    Args:
+        policy: see `evaluate`.
+        robot: one of `ids.ROBOTS`.
+        dynamics: factors of each body as `gymnasium.make(..., dynamics=)` takes them; `{}` is the nominal one.
+        episodes: in each body.
+        seed: the start states are a function of it.
+        progress: show a progress bar on the error stream.
+
+    Raises:
+        TypeError, ValueError: as `evaluate`; no list of bodies, or an empty one; an unknown parameter or element.
+    """
+    _check_policy(policy)
+    if not isinstance(dynamics, Sequence) or not dynamics:
+        raise ValueError(f'dynamics is {dynamics!r}: give a list of bodies, as [{{"body_mass": {{"torso": 1.5}}}}]')
+    seeds = np.repeat(reset_seeds(robot, "nominal", [0], episodes, seed), len(dynamics), axis=0)
+    drawn = [Dynamics.from_json(factors) for factors in dynamics]
+    told = f"evaluating in {len(drawn)} bodies of {robot}" if progress else None
+    return _episodes(policy, robot, drawn, seeds, False, told)[0]
+
+
+def _episodes(
+    policy: Policy, robot: str, drawn: Sequence[Dynamics], seeds: NDArray[np.int64], traces: bool, told: str | None
+) -> tuple[NDArray[np.float64], NDArray[np.int64], Traces | None]:
+    """Run the episodes of seeds (M, E), a row a body: returns and lengths (M, E), and traces if they are wanted."""
+    physics = BatchPhysics(robot, [dynamics for dynamics in drawn for _ in range(seeds.shape[1])])
+    with rich.progress.Progress(console=rich.console.Console(stderr=True), disable=told is None) as bar:
+        task = bar.add_task(told or "", total=HORIZON)
         observations = physics.start(np.arange(len(physics)), reset_generators(seeds))
         recorder = Recorder(physics.states, len(physics.action_limit)) if traces else None
         returns, lengths = _run_lanes(policy, physics, observations, recorder, lambda: bar.advance(task))
         bar.update(task, completed=HORIZON)
-    return Evaluation(
-        robot,
-        split,
-        chosen,
-        returns.reshape(seeds.shape),
-        lengths.reshape(seeds.shape),
-        seeds,
-        mujoco.__version__,
-        physics_digest(robot),
-        None if recorder is None else recorder.traces(lengths),
-    )
+    kept = None if recorder is None else recorder.traces(lengths)
+    return returns.reshape(seeds.shape), lengths.reshape(seeds.shape), kept
 
 
 def reset_generators(seeds: NDArray[np.int64]) -> list[np.random.Generator]:
@@ -166,8 +196,12 @@ def _run_lanes(
     return returns, lengths
 
 
-def _check_signature(policy: Policy) -> None:
-    """Raise TypeError, in one line, where `predict` takes other arguments than it is given."""
+def _check_policy(policy: Policy) -> None:
+    """Raise TypeError, in one line, where there is no `predict`, or it takes other arguments than it is given."""
+    if not isinstance(policy, Policy):
+        raise TypeError(
+            f"{type(policy).__name__} has no method predict(observation, ...): see dynagen_bench.evaluation.Policy"
+        )
     try:
         signature = inspect.signature(policy.predict)
     except ValueError:  # it is not written in Python, and does not tell

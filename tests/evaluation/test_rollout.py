@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from dynagen_bench import ids
-from dynagen_bench.evaluation import EPISODES, RandomPolicy, action_space, evaluate, reset_seeds
+from dynagen_bench.dynamics import load_dynamics
+from dynagen_bench.evaluation import EPISODES, RandomPolicy, action_space, evaluate, reset_seeds, returns_in
 
 
 class Constant:
@@ -40,9 +41,9 @@ class Recorder(Constant):
         self.rewards.append(rewards)
 
 
-def plain_episode(env_id, seed, action):
+def plain_episode(env_id, seed, action, **options):
     """Return and length of an episode as Gymnasium's users write it."""
-    environment = gymnasium.make(env_id)
+    environment = gymnasium.make(env_id, **options)
     environment.reset(seed=seed)
     total, steps, done = 0.0, 0, False
     while not done:
@@ -237,6 +238,34 @@ def test_an_answer_that_is_not_actions_and_state_is_told_in_one_line(answer, for
 def test_bad_arguments_end_in_one_line(robot, arguments, message):
     with pytest.raises(ValueError, match=message) as caught:
         evaluate(Constant("Hopper", 0.0), robot, **arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_returns_in_bodies_of_ones_own_are_those_of_a_plain_loop():
+    bodies = [{}, {"body_mass": {"torso": 2.0}}, load_dynamics("Hopper", "test", 3).to_json()]
+    policy = Constant("Hopper", 0.3)
+    found = returns_in(policy, "Hopper", bodies, episodes=2)
+    assert (found.shape, found.dtype) == ((3, 2), np.float64)
+    np.testing.assert_array_equal(found[0], evaluate(policy, "Hopper", "nominal", episodes=2).returns[0])
+    for row, body in zip(found, bodies, strict=True):
+        seeds = reset_seeds("Hopper", "nominal", [0], episodes=2)[0]  # of every body: nothing but the body differs
+        action = policy.action.astype(np.float32)
+        plain = [plain_episode("Hopper-RandDyn-v0", int(seed), action, dynamics=body)[0] for seed in seeds]
+        np.testing.assert_array_equal(row, plain)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "message"),
+    [
+        ([], r"^dynamics is \[\]: give a list of bodies"),
+        ({"body_mass": {"torso": 2.0}}, "give a list of bodies"),
+        ([{"body_mass": {"torsoo": 2.0}}], "torsoo"),
+        ([{"mass": {"torso": 2.0}}], "unknown dynamics parameter"),
+    ],
+)
+def test_bodies_that_are_none_end_in_one_line(bodies, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        returns_in(Constant("Hopper", 0.3), "Hopper", bodies)
     assert "\n" not in str(caught.value)
 
 
