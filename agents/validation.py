@@ -92,5 +92,7 @@ def has_stalled(points: Sequence[tuple[int, float]], every: int, patience: int) 
     Of the points (step, return) those at every `every` steps count: a run that was once shorter has one more, at its
     end then, and stops where a run does that was never shorter.
     """
-    returns = [value for step, value in points if patience and step % every == 0]
-    return 0 < patience < len(returns) and max(returns[-patience:]) <= max(returns[:-patience])
+    if not patience:
+        return False
+    returns = [value for step, value in points if step % every == 0]
+    return patience < len(returns) and max(returns[-patience:]) <= max(returns[:-patience])

@@ -15,7 +15,5 @@ UNBOUNDED: Final = 1000
 
 def print_table(table: rich.table.Table) -> None:
     """Print a table; in a file or a pipe each line whole, however narrow the terminal is that it was started from."""
-    console = rich.console.Console()
-    if not sys.stdout.isatty():  # `console.is_terminal` is what FORCE_COLOR says, in a pipe too
-        console.width = UNBOUNDED
-    console.print(table)
+    # a console's own `is_terminal` is what FORCE_COLOR says, in a pipe too
+    rich.console.Console(width=None if sys.stdout.isatty() else UNBOUNDED).print(table)

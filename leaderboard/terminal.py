@@ -23,10 +23,9 @@ def show_tables(entries: Sequence[Entry]) -> None:
     for table in tables:
         robots = [robot for robot in ids.ROBOTS if any(robot in row.cells for row in table.rows)]
         print_table(_means(table, robots))
-        if any(
-            sum(robot in row.cells and row.cells[robot].rank is not None for row in table.rows) > 1 for robot in robots
-        ):
-            print_table(_ranks(table, robots))  # one alone has nobody to be ranked with
+        # the last of several has the rank of their number, and one alone has nobody to be ranked with
+        if any(cell.rank and cell.rank.worst > 1 for row in table.rows for cell in row.cells.values()):
+            print_table(_ranks(table, robots))
 
 
 def _means(table: Table, robots: Sequence[str]) -> rich.table.Table:
