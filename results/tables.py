@@ -171,10 +171,8 @@ def held_out(runs: Sequence[Run]) -> str:
     """What was chosen by held-out train dynamics: the last validation return of each value tried."""
     lines = []
     for group in grouped(runs):
-        means = []
-        for name in ("validation_return", "validation_loss"):  # each at its own end: patience ends runs apart
-            ends = [curve[max(curve)] for run in group.runs if (curve := run.curves.get(name))]
-            means.append(estimate(ends) if ends else None)
+        ends = (group.ends(name) for name in ("validation_return", "validation_loss"))
+        means = [estimate(values) if values else None for values in ends]
         whole = [sum(curve.values()) / len(curve) for curve in group.curves("validation_return")]
         overall = estimate(whole) if whole else None
         lines.append(

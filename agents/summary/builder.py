@@ -182,7 +182,7 @@ def _section(robot: str, shown: list[Shown]) -> Section:
 def _shown(group: Group, slug: str, look: int) -> Shown:
     finals = {}
     for metric in METRICS:
-        last = [curve[max(curve)] for run in group.runs if (curve := run.curves.get(metric.column))]
+        last = group.ends(metric.column)
         if last:
             finals[metric.column] = estimate(last)
     about = group.runs[0].about

@@ -74,6 +74,10 @@ class Group:
     order: tuple[Any, ...]
     runs: tuple[Run, ...]
 
+    def ends(self, name: str) -> list[float]:
+        """The last value of a curve, of each run that has it, at its own last step: runs may end apart."""
+        return [curve[max(curve)] for run in self.runs if (curve := run.curves.get(name))]
+
     def curves(self, name: str) -> list[Curve]:
         """A curve of each run that has it, at the steps that all of these have."""
         given = [run.curves[name] for run in self.runs if run.curves.get(name)]
