@@ -1,10 +1,10 @@
-"""The command line: `python -m leaderboard verify DIR`, `submit DIR`, `rerun`, `build`, `show`, `schema`."""
+"""The command line, `python -m leaderboard`: submit, verify, show, compare, export, rerun, build and schema."""
 
 import contextlib
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import rich.console
 import rich.progress
@@ -14,7 +14,8 @@ from dynagen_bench.evaluation.submission import schema_text
 from dynagen_bench.terminal import print_table
 from leaderboard import board as boards
 from leaderboard.entries import read_entries, read_official
-from leaderboard.terminal import show_tables
+from leaderboard.export import latex, scores_csv
+from leaderboard.terminal import show_comparison, show_tables
 from leaderboard.verify import RunCheck
 from leaderboard.verify import verify as verify_submission
 from leaderboard.verify_table import checks_table
@@ -107,6 +108,36 @@ def show(board: Path = boards.BOARD) -> None:
     show_tables(read_entries(board))
 
 
+def compare(
+    first: Annotated[str, tyro.conf.Positional],
+    second: Annotated[str, tyro.conf.Positional],
+    board: Path = boards.BOARD,
+) -> None:
+    """Print how likely a run of the first is better than one of the second, on each robot, and how sure that is.
+
+    Args:
+        first: The name of an entry, as dadt-zero-shot-last, or the folder of a submission, which is verified first.
+        second: Another.
+        board: The board's folder, with entries/ in it.
+    """
+    if first == second:
+        raise ValueError(f"both are {first}: give two entries, or folders of submissions")
+    with _progress() as done:
+        entries = {name: boards.entry_of(name, board, done) for name in (first, second)}
+    show_comparison(entries)
+
+
+def export(form: tyro.conf.Positional[Literal["csv", "latex"]], board: Path = boards.BOARD) -> None:
+    """Write the board's scores to standard output: `python -m leaderboard export csv > scores.csv`.
+
+    Args:
+        form: The scores of each run in each dynamics as csv, or the tables as latex.
+        board: The board's folder, with entries/ in it.
+    """
+    entries = read_entries(board)
+    sys.stdout.write(scores_csv(entries) if form == "csv" else latex(entries))
+
+
 def schema() -> None:
     """Print the JSON Schema of submission.json, which is docs/submission.schema.json."""
     sys.stdout.write(schema_text())
@@ -133,7 +164,16 @@ def main(arguments: list[str] | None = None) -> int:
     """Run one command; what is wrong is said in one line on stderr, with status 1, or 2 of `verify`."""
     try:
         status = tyro.extras.subcommand_cli_from_dict(
-            {"submit": submit, "verify": verify, "rerun": rerun, "build": build, "show": show, "schema": schema},
+            {
+                "submit": submit,
+                "verify": verify,
+                "show": show,
+                "compare": compare,
+                "export": export,
+                "rerun": rerun,
+                "build": build,
+                "schema": schema,
+            },
             prog="python -m leaderboard",
             description="The leaderboard: verify and add submissions, make the page, show the tables.",
             args=arguments,

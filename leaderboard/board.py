@@ -1,10 +1,11 @@
 """Changing a board: an entry in and the pages made anew, both or neither.
 
-What is here: `submit`, `rerun`, `build`, `is_current` and `verify_entries`. Called by the command line and the demo. It
-must not know how tables look.
+What is here: `submit`, `rerun`, `build`, `is_current`, `verify_entries` and `entry_of`. Called by the command line and
+the demo. It must not know how tables look.
 """
 
 import contextlib
+import difflib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -73,12 +74,7 @@ def submit(
     _check_name(board, submission, replace or join)
     if join:
         joined(_entry(board, slug_of(submission)).submission, submission)  # raises before the long replay
-    checks = verify(folder, submission, done)
-    faults = [fault for check in checks for fault in check.faults]
-    if faults:
-        more = f" (and {len(faults) - 1} more: `python -m leaderboard verify`)" if len(faults) > 1 else ""
-        raise ValueError(faults[0] + more)
-    entry = Entry(slug_of(submission), _with_returns(submission, checks), label_of(checks))
+    entry = _verified(folder, submission, done)
     with _locked(board):
         _check_name(board, submission, replace or join)
         sources = [folder]
@@ -92,12 +88,39 @@ def submit(
     return entry
 
 
+def entry_of(name: str, board: Path = BOARD, done: Callable[[RunCheck], None] = ignore) -> Entry:
+    """An entry of the board by its name; or what a folder's submission would be as one, verified by replay.
+
+    Raises:
+        FileNotFoundError: the board has no entry of this name, and there is no folder of it.
+        ValueError: the folder's submission is not what it says.
+    """
+    folder = Path(name)
+    if not folder.is_dir():
+        return _entry(board, name)
+    submission = read_official(folder)
+    run_scores(submission)
+    return _verified(folder, submission, done)
+
+
+def _verified(folder: Path, submission: Submission, done: Callable[[RunCheck], None]) -> Entry:
+    """A submission as an entry, with the returns of its replay; raises ValueError at the first fault."""
+    checks = verify(folder, submission, done)
+    faults = [fault for check in checks for fault in check.faults]
+    if faults:
+        more = f" (and {len(faults) - 1} more: `python -m leaderboard verify`)" if len(faults) > 1 else ""
+        raise ValueError(faults[0] + more)
+    return Entry(slug_of(submission), _with_returns(submission, checks), label_of(checks))
+
+
 def _entry(board: Path, slug: str) -> Entry:
     """An entry of a board; raises FileNotFoundError if there is none of that name."""
-    found = next((entry for entry in read_entries(board) if entry.slug == slug), None)
-    if found is None:
-        raise FileNotFoundError(f"{board / FOLDER} has no entry {slug!r}: see `python -m leaderboard show`")
-    return found
+    entries = {entry.slug: entry for entry in read_entries(board)}
+    if slug not in entries:
+        near = difflib.get_close_matches(slug, entries, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(entries) or 'none'}"
+        raise FileNotFoundError(f"{board / FOLDER} has no entry {slug!r}: {hint}")
+    return entries[slug]
 
 
 def rerun(slug: str, folder: Path, board: Path = BOARD) -> Entry:

@@ -1,18 +1,21 @@
 """The board's tables in the terminal.
 
-What is here: `show_tables`. Called by the command line. It must not compute scores.
+What is here: `show_tables` and `show_comparison`. Called by the command line. It must not compute scores.
 """
 
-from collections.abc import Sequence
+import statistics
+from collections.abc import Mapping, Sequence
 
 import rich.table
 from rich.text import Text
 
 from dynagen_bench import ids
 from dynagen_bench.terminal import print_table
+from leaderboard.comparison import FEWEST, compared
 from leaderboard.entries import Entry
 from leaderboard.markdown import iqm_text, number_text, rank_text, score_text
-from leaderboard.standings import CHECKPOINTS, TRACKS, Cell, Row, Table, data_scores, standings
+from leaderboard.standings import CHECKPOINTS, TRACKS, Cell, Row, Table, data_scores, standings, task_scores
+from leaderboard.statistics import Estimate
 
 
 def show_tables(entries: Sequence[Entry]) -> None:
@@ -26,6 +29,49 @@ def show_tables(entries: Sequence[Entry]) -> None:
         # the last of several has the rank of their number, and one alone has nobody to be ranked with
         if any(cell.rank and cell.rank.worst > 1 for row in table.rows for cell in row.cells.values()):
             print_table(_ranks(table, robots))
+
+
+def show_comparison(entries: Mapping[str, Entry]) -> None:
+    """Print how two entries score on each robot that both have, and how likely a run of the first is the better one.
+
+    Args:
+        entries: two, by the name that each is to be called.
+
+    Raises:
+        ValueError: they have no robot in common.
+    """
+    (first, one), (second, other) = entries.items()
+    scores, others = task_scores(one.submission), task_scores(other.submission)
+    whole = compared("all", scores, others)
+    if not whole.robots:
+        raise ValueError(
+            f"{first} has runs on {', '.join(scores)} and {second} on {', '.join(others)}: on no robot both"
+        )
+    rows = [standings([entry])[0].rows[0] for entry in (one, other)]
+    grid = rich.table.Table(title=Text(f"How likely is a run of {first} better than one of {second}?"))
+    for column in ("Robot", Text(first), Text(second), "Probability [95 % interval]", "Better"):
+        grid.add_column(column, justify="right" if column != "Robot" else "left", overflow="fold")
+    better = {"holds": first, "does not hold": second}
+    for robot in whole.robots:
+        alone = compared(robot, {robot: scores[robot]}, others)
+        cells = [Text(score_text(row.cells[robot])) for row in rows]
+        grid.add_row(robot, *cells, _probability(alone.estimate), Text(better.get(alone.verdict, alone.verdict)))
+    grid.add_section()
+    means = [number_text(statistics.fmean(row.cells[robot].mean for robot in whole.robots)) for row in rows]
+    grid.add_row("all of these", *means, _probability(whole.estimate), Text(better.get(whole.verdict, whole.verdict)))
+    print_table(grid)
+    unsure = [name for name, entry in entries.items() if not entry.replayed]
+    if unsure:
+        print(f"Nobody has replayed {' and '.join(unsure)}: there are no traces, and the returns are what was sent in.")
+    if min(whole.runs) < FEWEST:
+        print(f"Nothing is decided by fewer than {FEWEST} runs of each (docs/statistics.md).")
+
+
+def _probability(estimate: Estimate | None) -> str:
+    if estimate is None or estimate.interval is None:
+        return "–" if estimate is None else number_text(estimate.value)
+    low, high = estimate.interval
+    return f"{number_text(estimate.value)} [{number_text(low)}, {number_text(high)}]"
 
 
 def _means(table: Table, robots: Sequence[str]) -> rich.table.Table:

@@ -2,11 +2,7 @@
 
 What is here: `claims`. Called by the page. It must not know how a page looks.
 
-A comparison of two methods is the probability that a run of the one is better than a run of the other in the same test
-dynamics (Agarwal et al., 2021; docs/statistics.md). A claim holds where its 95 % interval lies above one half, does not
-where it lies below, and is undecided in between, where a side has fewer runs than `FEWEST`, and where one robot alone
-would say the opposite: a mean over robots hides that. Of few runs such an interval is too narrow: it says the least
-that is unknown.
+A claim that methods are better than others is what comparisons of two say (`leaderboard.comparison`).
 
 That λ makes no difference is the one claim of several methods at once. The best and the worst of them are chosen by the
 scores that would then tell them apart: so the distance between their means is compared with those after dealing the
@@ -14,22 +10,17 @@ runs out to the values of λ at random, and its interval chooses best and worst 
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from agents.summary.runs import Run
 from dynagen_bench import ids
+from leaderboard.comparison import FEWEST, Comparison, Verdict, compared
 from leaderboard.entries import Entry
 from leaderboard.standings import task_scores
-from leaderboard.statistics import Estimate, Scores, draws, improvement
+from leaderboard.statistics import Estimate, Scores, draws
 from results.kept import Errors
-
-Verdict = Literal["holds", "does not hold", "undecided", "not run"]
-
-FEWEST: Final = 3
-"""Runs of each side that a verdict takes: of two, equal methods are told apart in 29 of 100 cases, of three in 19
-(docs/statistics.md)."""
 
 CLOSE: Final = 10.0
 """Methods are told to do the same where their means lie less than this many points of score apart, for sure."""
@@ -40,43 +31,6 @@ SIGNIFICANT: Final = 0.05
 PERMUTATIONS: Final = 10_000
 
 
-class Evidence(NamedTuple):
-    """One comparison."""
-
-    what: str
-    """`DADT > DT`."""
-    estimate: Estimate | None
-    """The probability; None where one of the two has not been run."""
-    robots: tuple[str, ...]
-    """That both have been run on."""
-    runs: tuple[int, int]
-    """Of the one and of the other, each on the robot where it has fewest; of λ the fewest and the most of any value."""
-    each: tuple[Estimate, ...]
-    """The probability on each of these robots alone."""
-    chance: float | None = None
-    """The p-value of a permutation test, where there is one."""
-
-    @property
-    def verdict(self) -> Verdict:
-        """Of this comparison alone."""
-        if self.estimate is None:
-            return "not run"
-        if self.estimate.interval is None or min(self.runs) < FEWEST:
-            return "undecided"
-        side = _side(self.estimate)
-        if side == 0 or -side in map(_side, self.each):
-            return "undecided"
-        return "holds" if side > 0 else "does not hold"
-
-
-def _side(probability: Estimate) -> int:
-    """1 where its interval lies above one half, -1 where it lies below, 0 where neither is sure."""
-    if probability.interval is None:
-        return 0
-    low, high = probability.interval
-    return int(low > 0.5) - int(high < 0.5)
-
-
 class Claim(NamedTuple):
     """A sentence of the paper, and what it comes to here."""
 
@@ -84,7 +38,7 @@ class Claim(NamedTuple):
     source: str
     """Table or section of the paper."""
     verdict: Verdict
-    evidence: tuple[Evidence, ...]
+    evidence: tuple[Comparison, ...]
 
 
 def claims(
@@ -113,12 +67,12 @@ def claims(
         _all(
             "DADT without adaptation is above adapted baselines",
             "Section 5.2",
-            _compared("DADT > MerPO, adapted", zero["DADT"], adapted["MerPO"]),
+            compared("DADT > MerPO, adapted", zero["DADT"], adapted["MerPO"]),
         ),
         _all(
             "Fine-tuning DADT for a dynamics makes it act better there",
             "Table 1, but for SlimHumanoid",
-            _compared("DADT, adapted > DADT", adapted["DADT"], zero["DADT"]),
+            compared("DADT, adapted > DADT", adapted["DADT"], zero["DADT"]),
         ),
         _all("Predicting next states makes a Decision Transformer act better", "Table 2", _than(zero, "DADT", "DT")),
         _all(
@@ -193,21 +147,11 @@ def error_scores(errors: Sequence[Errors]) -> dict[str, Scores]:
     }
 
 
-def _than(scores: Mapping[str, Scores | None], name: str, other: str) -> Evidence:
-    return _compared(f"{name} > {other}", scores.get(name), scores.get(other))
+def _than(scores: Mapping[str, Scores | None], name: str, other: str) -> Comparison:
+    return compared(f"{name} > {other}", scores.get(name), scores.get(other))
 
 
-def _compared(what: str, scores: Scores | None, others: Scores | None) -> Evidence:
-    shared = tuple(robot for robot in ids.ROBOTS if robot in (scores or {}) and robot in (others or {}))
-    if scores is None or others is None or not shared:
-        return Evidence(what, None, (), (0, 0), ())
-    one, other = (min(len(side[robot]) for robot in shared) for side in (scores, others))
-    each = (improvement({robot: scores[robot]}, others) for robot in shared)
-    told = tuple(estimate for estimate in each if estimate is not None)
-    return Evidence(what, improvement(scores, others), shared, (one, other), told)
-
-
-def _all(text: str, source: str, *evidence: Evidence) -> Claim:
+def _all(text: str, source: str, *evidence: Comparison) -> Claim:
     """A claim that holds where all of its comparisons do, and does not where one does not."""
     found = {one.verdict for one in evidence}
     order: tuple[Verdict, ...] = ("does not hold", "not run", "undecided", "holds")
@@ -220,7 +164,7 @@ def _robust(weights: Mapping[str, Scores]) -> Claim:
     robots = [robot for robot in ids.ROBOTS if weights and all(robot in scores for scores in weights.values())]
     shared = {value: {robot: scores[robot] for robot in robots} for value, scores in weights.items()}
     if len(shared) < 2 or not robots:
-        return Claim(text, source, "not run", (Evidence("best λ − worst λ", None, (), (0, 0), ()),))
+        return Claim(text, source, "not run", (Comparison("best λ − worst λ", None, (), (0, 0), ()),))
     means = {value: float(np.mean([of.mean() for of in scores.values()])) for value, scores in shared.items()}
     best, worst = (end(means, key=lambda value: means[value]) for end in (max, min))
     counts = [len(of) for scores in shared.values() for of in scores.values()]
@@ -230,7 +174,7 @@ def _robust(weights: Mapping[str, Scores]) -> Claim:
     interval = (low, high) if fewest > 1 else None  # of one run it is not known how far another would lie
     what = f"best − worst of {len(shared)} values of λ ({best}, {worst}), points"
     distance = Estimate(means[best] - means[worst], interval)
-    spread = Evidence(what, distance, tuple(robots), (fewest, most), (), chance)
+    spread = Comparison(what, distance, tuple(robots), (fewest, most), (), chance)
     verdict: Verdict = "undecided"
     if fewest >= FEWEST:
         verdict = "does not hold" if chance < SIGNIFICANT else "holds" if high < CLOSE else "undecided"

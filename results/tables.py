@@ -15,13 +15,14 @@ from agents.summary.intervals import Estimate, estimate
 from agents.summary.runs import Run, grouped
 from dynagen_bench import ids
 from dynagen_bench.markdown import table
+from leaderboard.comparison import Comparison
 from leaderboard.entries import Entry
 from leaderboard.markdown import escape, iqm_text, score_text
 from leaderboard.published import PUBLISHED, PUBLISHED_ERRORS, PUBLISHED_WEIGHTS, Score
 from leaderboard.published import ROBOTS as PAPER_ROBOTS
 from leaderboard.standings import TRACKS, Row, standings
 from leaderboard.statistics import Scores
-from results.claims import NAMES, PREDICTORS, SLUGS, Claim, Evidence, replayed_scores
+from results.claims import NAMES, PREDICTORS, SLUGS, Claim, replayed_scores
 from results.kept import Errors
 
 _NOT_THE_PAPERS: Final = ("–",) * (len(ids.ROBOTS) - len(PAPER_ROBOTS))
@@ -240,7 +241,7 @@ def _estimate_text(value: Estimate | None) -> str:
     return "–" if value is None else final_text(value)
 
 
-def _evidence(one: Evidence) -> str:
+def _evidence(one: Comparison) -> str:
     if one.estimate is None:
         return f"{one.what}: not run"
     text = f"{one.what}: {one.estimate.value:.2f}"
