@@ -9,7 +9,6 @@ A run that was killed goes on with the dynamics that it was at: give the same co
 
 import dataclasses
 import shutil
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -39,7 +38,7 @@ from agents.threads import use_threads
 from dynagen_bench import ids
 from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.evaluation.traces import Traces, load_traces, physics_digest, save_traces
-from dynagen_bench.terminal import print_table
+from dynagen_bench.terminal import one_line_errors, print_table
 
 
 def adapt(folder: Path, settings: AdaptationSettings) -> Path:
@@ -208,12 +207,8 @@ def command(
 
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
-    try:
+    with one_line_errors(also=(FloatingPointError,), stopped="give the same command again to continue"):
         tyro.cli(command, prog="python -m agents.adapt", args=arguments)
-    except (ValueError, OSError, FloatingPointError) as error:
-        sys.exit(f"error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("stopped: give the same command again to continue")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ the same episodes of train dynamics. Called from the command line. It must not k
 test dynamics, whose official result is training's own.
 """
 
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -23,7 +22,7 @@ from agents.validation import set_apart
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
 from dynagen_bench.evaluation import EPISODES, Policy, RandomPolicy, evaluate
-from dynagen_bench.terminal import print_table
+from dynagen_bench.terminal import one_line_errors, print_table
 
 COMPARED: Final = ("trained", "untrained", "random")
 
@@ -109,12 +108,10 @@ def _command(
 
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
-    try:
+    with one_line_errors(
+        stopped="the runs that were measured have their results; give the command again for the others"
+    ):
         print_table(tyro.cli(_command, prog="python -m agents.evaluate", args=arguments))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("stopped: the runs that were measured have their results; give the command again for the others")
 
 
 if __name__ == "__main__":

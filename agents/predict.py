@@ -5,7 +5,6 @@ line. It must not know any agent by name, nor how an error is computed.
 """
 
 import dataclasses
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -21,7 +20,7 @@ from agents.run_folder import DATA, read_config
 from agents.threads import use_threads
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
-from dynagen_bench.terminal import print_table
+from dynagen_bench.terminal import one_line_errors, print_table
 
 
 class Run(NamedTuple):
@@ -186,12 +185,9 @@ def summary(errors: Sequence[float]) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
-    try:
+    left = "the runs that were measured have their results; give the command again for the others"
+    with one_line_errors(also=(FloatingPointError,), stopped=left):
         tyro.cli(predict, prog="python -m agents.predict", args=arguments)
-    except (ValueError, OSError, FloatingPointError) as error:
-        sys.exit(f"error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("stopped: the runs that were measured have their results; give the command again for the others")
 
 
 if __name__ == "__main__":

@@ -3,13 +3,13 @@
 What is here: the command line. It must not know what a file holds.
 """
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from agents.pretrained import read_about, store_run
+from dynagen_bench.terminal import one_line_errors
 
 
 def _command(run: Annotated[Path, tyro.conf.Positional], replace: bool = False) -> str:
@@ -27,10 +27,8 @@ def _command(run: Annotated[Path, tyro.conf.Positional], replace: bool = False) 
 
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
-    try:
+    with one_line_errors():
         print(tyro.cli(_command, prog="python -m agents.store", args=arguments))
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ from dynagen_bench import ids
 from dynagen_bench.evaluation.result import EpisodeRecord, first_error
 from dynagen_bench.evaluation.submission import MAX_POINTS, CurvePoint, Run, Submission, write_submission
 from dynagen_bench.evaluation.traces import Traces, load_traces
+from dynagen_bench.terminal import one_line_errors
 
 Track = Literal["zero-shot", "adaptation"]
 
@@ -235,11 +236,9 @@ def _options(values: dict[str, Any]) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
-    try:
+    with one_line_errors():
         path = tyro.cli(submit, prog="python -m agents.submit", args=arguments)
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
-    rich.print(f"written: {path}")
+        rich.print(f"written: {path}")
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from agents.sweep_plan import SweepRun, is_finished, plan
 from agents.train import run
 from dynagen_bench.datasets import load_dataset
 from dynagen_bench.jobs import run_jobs
+from dynagen_bench.terminal import one_line_errors
 
 SUMMARY: Final = "summary.html"
 """In the folder of the runs."""
@@ -107,12 +108,8 @@ def _command(
 
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
-    try:
+    with one_line_errors(also=(RuntimeError,), stopped="give the same command again to go on"):
         print(tyro.cli(_command, prog="python -m agents.sweep", args=arguments))
-    except (ValueError, OSError, RuntimeError) as error:
-        sys.exit(f"error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("stopped: give the same command again to go on")
 
 
 if __name__ == "__main__":

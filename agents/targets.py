@@ -6,7 +6,6 @@ know any agent by name, nor touch the test dynamics: a target is chosen without 
 """
 
 import dataclasses
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Final
@@ -20,7 +19,7 @@ from agents.run_folder import TARGET_CURVE, locked
 from agents.threads import use_threads
 from dynagen_bench.datasets.scores import reference_scores
 from dynagen_bench.evaluation import evaluate
-from dynagen_bench.terminal import print_table
+from dynagen_bench.terminal import one_line_errors, print_table
 
 SHARES: Final = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 """Of the highest return of an episode in the train data: what is asked for where no targets are given."""
@@ -95,12 +94,9 @@ def _command(
 
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
-    try:
+    left = "target-curve.csv has the targets that were measured; name the others with --targets"
+    with one_line_errors(stopped=left):
         tyro.cli(_command, prog="python -m agents.targets", args=arguments)
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("stopped: target-curve.csv has the targets that were measured; name the others with --targets")
 
 
 if __name__ == "__main__":

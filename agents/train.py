@@ -49,6 +49,7 @@ from agents.threads import use_threads
 from agents.validation import Validation, check_patience, has_stalled, set_apart
 from dynagen_bench.datasets import Normalization, OfflineDataset, load_dataset
 from dynagen_bench.evaluation import Evaluation
+from dynagen_bench.terminal import one_line_errors
 
 Parsed: TypeAlias = tuple[str, TrainingConfig, RunSettings]
 """An agent's name, its config and the settings of a run."""
@@ -302,12 +303,9 @@ def _say(folder: Path) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
     given = sys.argv[1:] if arguments is None else arguments
-    try:
+    left = "give the same command again to continue from the last checkpoint"
+    with one_line_errors(also=(FloatingPointError,), stopped=left):
         _say(run(parse(given), f"python -m agents.train {shlex.join(given)}"))
-    except (ValueError, OSError, FloatingPointError) as error:
-        sys.exit(f"error: {error}")
-    except KeyboardInterrupt:
-        sys.exit("stopped: give the same command again to continue from the last checkpoint")
 
 
 if __name__ == "__main__":

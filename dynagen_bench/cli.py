@@ -5,7 +5,6 @@ Nothing calls it. It must not compute anything itself.
 """
 
 import json
-import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -26,7 +25,7 @@ from dynagen_bench.envs.pages import write_page
 from dynagen_bench.evaluation.baselines import baseline_submission
 from dynagen_bench.evaluation.submission import FILE_NAME, write_submission
 from dynagen_bench.pictures import render_video, write_gallery, write_strip
-from dynagen_bench.terminal import print_table
+from dynagen_bench.terminal import one_line_errors, print_table
 from dynagen_bench.whole import check_writable
 
 Robot = Annotated[str, tyro.conf.Positional]
@@ -317,7 +316,7 @@ ABOUT: Final = "DynaGen Bench: bodies, data and scores of offline dynamics gener
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command, or tell the version.
 
-    A mistake of the user's ends in one line on stderr and exit code 2, Ctrl-C in one and 130.
+    A mistake of the user's ends in one line on stderr, and so does Ctrl-C.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given == ["--version"]:
@@ -325,24 +324,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     word = given[0] if given else ""
     group = {name.removeprefix(f"{word} "): run for name, run in COMMANDS.items() if name.startswith(f"{word} ")}
-    try:
+    left = "`collect` and `data` continue when the same command is given again"
+    with one_line_errors("dynagen", also=(RuntimeError,), stopped=left):
         tyro.extras.subcommand_cli_from_dict(
             group or COMMANDS,
             prog=f"dynagen {word}" if group else "dynagen",
             description=ABOUT if group else f"{ABOUT} --version tells which.",
             args=given[1:] if group else given,
         )
-        sys.stdout.flush()  # here, where a reader that has gone is expected
-    except BrokenPipeError:  # `| head` has read enough; the rest goes nowhere, also at Python's own last flush
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
-    except (ValueError, OSError, RuntimeError) as error:
-        first, _, _ = str(error).partition("\n")  # h5py's go on for hundreds of lines
-        sys.stderr.write(f"dynagen: {first}\n")
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.stderr.write("dynagen: stopped: `collect` and `data` continue when the same command is given again\n")
-        sys.exit(130)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,12 @@
-"""A table on standard output, the one way that every command prints one.
+"""What every command line does alike: tables on standard output, and a mistake in one line.
 
-What is here: `print_table`. Called by the command lines. It must not know what a table says.
+What is here: `print_table` and `one_line_errors`. Called by the command lines. It must not know what a table says.
 """
 
+import contextlib
+import os
 import sys
+from collections.abc import Iterator
 from typing import Final
 
 import rich.console
@@ -12,8 +15,41 @@ import rich.table
 UNBOUNDED: Final = 1000
 """Columns of what has no edge, more than any table takes."""
 
+STOPPED: Final = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
 
 def print_table(table: rich.table.Table) -> None:
     """Print a table; in a file or a pipe each line whole, however narrow the terminal is that it was started from."""
     # a console's own `is_terminal` is what FORCE_COLOR says, in a pipe too
     rich.console.Console(width=None if sys.stdout.isatty() else UNBOUNDED).print(table)
+
+
+@contextlib.contextmanager
+def one_line_errors(
+    name: str = "error", also: tuple[type[Exception], ...] = (), stopped: str = "give the same command again"
+) -> Iterator[None]:
+    """Run a command: what a user can mend, and Ctrl-C, end in one line on stderr and not in a traceback.
+
+    Args:
+        name: what the line begins with.
+        also: errors that a user can mend, besides ValueError and OSError.
+        stopped: what Ctrl-C leaves, and how to go on.
+
+    Raises:
+        SystemExit: with the line, which is status 1; `STOPPED` after Ctrl-C; 1 and no line where the reader of the
+            output has gone, as `| head` does.
+    """
+    mended: tuple[type[Exception], ...] = (ValueError, OSError, *also)
+    try:
+        yield
+        sys.stdout.flush()  # here, where a reader that has gone is expected
+    except BrokenPipeError:  # the rest goes nowhere, also at Python's own last flush
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except mended as error:
+        first, _, _ = str(error).partition("\n")  # h5py's go on for hundreds of lines
+        sys.exit(f"{name}: {first}")
+    except KeyboardInterrupt:
+        sys.stderr.write(f"stopped: {stopped}\n")
+        sys.exit(STOPPED)

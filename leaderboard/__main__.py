@@ -11,7 +11,7 @@ import rich.progress
 import tyro
 
 from dynagen_bench.evaluation.submission import schema_text
-from dynagen_bench.terminal import print_table
+from dynagen_bench.terminal import one_line_errors, print_table
 from leaderboard import board as boards
 from leaderboard.entries import read_entries, read_official
 from leaderboard.export import latex, scores_csv
@@ -162,28 +162,23 @@ def _progress() -> Iterator[Callable[[RunCheck], None]]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; what is wrong is said in one line on stderr, with status 1, or 2 of `verify`."""
-    try:
+    commands: dict[str, Callable[..., int | None]] = {
+        "submit": submit,
+        "verify": verify,
+        "show": show,
+        "compare": compare,
+        "export": export,
+        "rerun": rerun,
+        "build": build,
+        "schema": schema,
+    }
+    with one_line_errors("leaderboard", also=(RuntimeError,), stopped="the board is as it was"):
         status = tyro.extras.subcommand_cli_from_dict(
-            {
-                "submit": submit,
-                "verify": verify,
-                "show": show,
-                "compare": compare,
-                "export": export,
-                "rerun": rerun,
-                "build": build,
-                "schema": schema,
-            },
+            commands,
             prog="python -m leaderboard",
-            description="The leaderboard: verify and add submissions, make the page, show the tables.",
+            description="The leaderboard: verify and add submissions, make the page, show, compare, export.",
             args=arguments,
         )
-    except (OSError, ValueError, RuntimeError) as error:
-        print(f"leaderboard: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("leaderboard: stopped", file=sys.stderr)
-        return 130
     return status if isinstance(status, int) else 0
 
 

@@ -1,11 +1,11 @@
 """The command line: `python -m results keep RUN... --group reference`, `keep-compute`, `build`, `build --check`."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from dynagen_bench.terminal import one_line_errors
 from dynagen_bench.whole import whole_file
 from results.kept import REFERENCE, keep, keep_compute
 from results.page import DRAWINGS, pages
@@ -58,15 +58,13 @@ def _build(check: tyro.conf.FlagCreatePairsOff[bool] = False) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command; what is wrong is said in one line."""
-    try:
+    with one_line_errors():
         tyro.extras.subcommand_cli_from_dict(
             {"keep": _keep, "keep-compute": _keep_compute, "build": _build},
             prog="python -m results",
             description="The reference results: keep runs, and make docs/results.md.",
             args=arguments,
         )
-    except (ValueError, OSError) as error:
-        sys.exit(f"error: {error}")
 
 
 if __name__ == "__main__":

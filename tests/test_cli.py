@@ -1,10 +1,7 @@
 """The `dynagen` command: what it prints, and how it answers a mistake."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 
 import gymnasium
 import pytest
@@ -70,14 +67,10 @@ def test_draw_prints_what_gymnasium_takes(capsys):
         (("page", "Hopper", "--output", "/"), "/ is no file and cannot be written as one"),
     ],
 )
-def test_a_mistake_ends_in_one_line(capsys, words, message):
-    with pytest.raises(SystemExit) as ended:
+def test_a_mistake_ends_in_one_line(words, message):
+    with pytest.raises(SystemExit, match=r"\Adynagen: [^\n]+\Z") as ended:
         main(words)
-    assert ended.value.code == 2
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
-    assert said[0].startswith("dynagen: ")
-    assert message in said[0]
+    assert message in ended.value.code
 
 
 @pytest.mark.usefixtures("gl")  # which a strip and a gallery look for, too
@@ -89,48 +82,12 @@ def test_a_mistake_ends_in_one_line(capsys, words, message):
         (("strip", "Hopper"), "bodies.png", "dynagen_bench.pictures.strips.make_strip"),
     ],
 )
-def test_an_output_that_cannot_be_written_is_told_before_the_work(capsys, tmp_path, monkeypatch, words, name, work):
+def test_an_output_that_cannot_be_written_is_told_before_the_work(tmp_path, monkeypatch, words, name, work):
     monkeypatch.setattr(work, None)  # what calls it fails in another way
     (tmp_path / "file").touch()
-    with pytest.raises(SystemExit):
-        main([*words, "--output", str(tmp_path / "file" / name)])
-    assert f"cannot be written: {tmp_path / 'file'} is no folder that you may write to" in capsys.readouterr().err
-
-
-def test_a_stopped_command_ends_in_one_line(capsys, monkeypatch):
-    def stopped() -> None:
-        """Be stopped by Ctrl-C."""
-        raise KeyboardInterrupt
-
-    monkeypatch.setitem(COMMANDS, "data list", stopped)
     with pytest.raises(SystemExit) as ended:
-        main(["data", "list"])
-    assert ended.value.code == 130
-    assert (
-        capsys.readouterr().err
-        == "dynagen: stopped: `collect` and `data` continue when the same command is given again\n"
-    )
-
-
-def test_of_a_long_error_the_first_line_is_said(capsys, monkeypatch):
-    def fail() -> None:
-        """Fail as h5py does."""
-        raise OSError("Can't write data (no space left)\n  #000: H5D.c\n")
-
-    monkeypatch.setitem(COMMANDS, "data list", fail)
-    with pytest.raises(SystemExit):
-        main(["data", "list"])
-    assert capsys.readouterr().err == "dynagen: Can't write data (no space left)\n"
-
-
-@pytest.mark.parametrize("count", [1, 200])
-def test_a_reader_that_goes_away_is_no_mistake(count):
-    read, write = os.pipe()
-    os.close(read)
-    words = ["dynamics", "draw", "Hopper", "--seed", "1", "--count", str(count)]
-    with open(write, "w") as gone:
-        ended = subprocess.run([sys.executable, "-m", "dynagen_bench.cli", *words], stdout=gone, stderr=subprocess.PIPE)
-    assert (ended.returncode, ended.stderr) == (1, b"")
+        main([*words, "--output", str(tmp_path / "file" / name)])
+    assert f"cannot be written: {tmp_path / 'file'} is no folder that you may write to" in ended.value.code
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -154,9 +111,8 @@ def test_collect_runs_nothing_where_nothing_is_missing(capsys, tmp_path):
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
-def test_collect_takes_no_damaged_file_for_a_run(capsys, tmp_path):
+def test_collect_takes_no_damaged_file_for_a_run(tmp_path):
     (tmp_path / "Hopper").mkdir()
     (tmp_path / "Hopper" / "train0.safetensors").write_text("x")
-    with pytest.raises(SystemExit):
+    with pytest.raises(SystemExit, match=r"train0\.safetensors is no finished run"):
         main(["collect", "Hopper", "train0", "--folder", str(tmp_path)])
-    assert "train0.safetensors is no finished run" in capsys.readouterr().err

@@ -9,7 +9,7 @@ import sys
 import pytest
 import rich.table
 
-from dynagen_bench.terminal import print_table
+from dynagen_bench.terminal import one_line_errors, print_table
 
 LONG = ["dynagen/SlimHumanoid-RandDyn/train10-every4-v0", "official"]
 PROGRAM = f"""
@@ -41,3 +41,34 @@ def test_in_a_terminal_it_keeps_within_the_edge() -> None:
     cells = [line.split("│")[1].strip() for line in printed.splitlines() if "│" in line]
     assert "".join(cells) == LONG[0]
     assert max(map(len, printed.splitlines())) <= 30
+
+
+@pytest.mark.parametrize("error", [ValueError, OSError, FileNotFoundError, KeyError, RuntimeError])
+def test_a_mistake_is_its_first_line(error: type[Exception]) -> None:
+    message = "Can't write data (no space left)\n  #000: H5D.c\n"  # h5py's go on
+    mended = error in (ValueError, OSError, FileNotFoundError)
+    expected = SystemExit if mended else error
+    with pytest.raises(expected) as ended, one_line_errors("dynagen"):
+        raise error(message)
+    if mended:
+        assert ended.value.args == (
+            "dynagen: Can't write data (no space left)",
+        )  # which Python writes, and ends with 1
+    with pytest.raises(SystemExit, match=r"\Aerror: "), one_line_errors(also=(RuntimeError, KeyError)):
+        raise error(message)
+
+
+def test_after_ctrl_c_it_is_said_how_to_go_on(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match=r"^130$"), one_line_errors(stopped="the first of them are done"):
+        raise KeyboardInterrupt
+    assert capsys.readouterr().err == "stopped: the first of them are done\n"
+
+
+@pytest.mark.parametrize("lines", [1, 100_000])
+def test_a_reader_that_goes_away_is_no_mistake(lines: int) -> None:
+    code = f"from dynagen_bench.terminal import one_line_errors\nwith one_line_errors():\n print('x\\n' * {lines})"
+    read, write = os.pipe()
+    os.close(read)
+    with open(write, "w") as gone:
+        ended = subprocess.run([sys.executable, "-c", code], stdout=gone, stderr=subprocess.PIPE, check=False)
+    assert (ended.returncode, ended.stderr) == (1, b"")

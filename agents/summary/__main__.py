@@ -1,12 +1,12 @@
 """The command line: `python -m agents.summary runs --output summary.html`."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from agents.summary.builder import write_summary
+from dynagen_bench.terminal import one_line_errors
 
 
 def _command(runs: Annotated[Path, tyro.conf.Positional], output: Path = Path("summary.html")) -> Path:
@@ -23,10 +23,8 @@ def _command(runs: Annotated[Path, tyro.conf.Positional], output: Path = Path("s
 
 def main(arguments: list[str] | None = None) -> None:
     """Write the page; an error that a user can mend is one line."""
-    try:
+    with one_line_errors(also=(RuntimeError,)):
         print(f"written: {tyro.cli(_command, prog='python -m agents.summary', args=arguments)}")
-    except (ValueError, OSError, RuntimeError) as error:
-        sys.exit(f"error: {error}")
 
 
 if __name__ == "__main__":

@@ -190,23 +190,22 @@ def test_commands(folder, board, capsys):
     assert main(["show", "--board", str(board)]) == 0
     assert "DADT (partial)" in capsys.readouterr().out
     (board / PAGE).write_text("old")
-    assert main(["build", "--board", str(board), "--check"]) == 1
-    assert capsys.readouterr().err == f"leaderboard: {board / PAGE} is stale: run `python -m leaderboard build`\n"
+    with pytest.raises(SystemExit) as stop:
+        main(["build", "--board", str(board), "--check"])
+    assert stop.value.code == f"leaderboard: {board / PAGE} is stale: run `python -m leaderboard build`"
     assert (board / PAGE).read_text() == "old"
     assert main(["build", "--board", str(board)]) == 0
     assert main(["build", "--board", str(board), "--check"]) == 0
 
 
-def test_wrong_commands_end_in_one_line(folder, board, capsys, tmp_path):
+def test_wrong_commands_end_in_one_line(folder, board, tmp_path):
     for arguments in (
         ["show", "--board", str(board)],
         ["submit", str(tmp_path / "nothing"), "--board", str(board)],
         ["build", "--check", "--board", str(board)],
     ):
-        assert main(arguments) == 1
-        error = capsys.readouterr().err
-        assert error.startswith("leaderboard: ")
-        assert error.count("\n") == 1
+        with pytest.raises(SystemExit, match=r"\Aleaderboard: [^\n]+\Z"):
+            main(arguments)
     assert not board.exists()
 
 

@@ -87,16 +87,14 @@ def test_what_is_compared_has_been_replayed(honest, cheat, board):
         ("theirs-zero-shot-last", "other", "and other on Ant: on no robot both"),
     ],
 )
-def test_a_wrong_comparison_ends_in_one_line(two, board, tmp_path, monkeypatch, capsys, first, second, message):
+def test_a_wrong_comparison_ends_in_one_line(two, board, tmp_path, monkeypatch, first, second, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     write_submission(tmp_path / "other", submission({"Ant": [1.0, 2.0, 3.0]}))
     second = str(two[0]) if second == "folder" else second
-    assert main(["compare", first, second, "--board", str(board)]) == 1
-    error = capsys.readouterr().err
-    assert error.startswith("leaderboard: ")
-    assert message in error
-    assert error.count("\n") == 1
+    with pytest.raises(SystemExit, match=r"\Aleaderboard: [^\n]+\Z") as stop:
+        main(["compare", first, second, "--board", str(board)])
+    assert message in stop.value.code
 
 
 def test_few_runs_are_told_of(two, board, tmp_path, capsys):

@@ -195,7 +195,7 @@ def test_runs_with_traces_join_an_entry_of_the_first_format(tmp_path, board):
             {"description": "More steps."},
             r"description: it is 'More steps\.', the entry has '.*', and it is said once of all runs: mend",
         ),
-        ((2,), {"agent": "nobody"}, "has no entry 'nobody-zero-shot-last': see `python -m leaderboard show`"),
+        ((2,), {"agent": "nobody"}, "has no entry 'nobody-zero-shot-last': did you mean 'dadt-zero-shot-last'?"),
     ],
 )
 def test_what_does_not_belong_to_an_entry_does_not_join_it(tmp_path, board, seeds, fields, message):

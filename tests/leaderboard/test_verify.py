@@ -231,5 +231,6 @@ def test_an_interrupted_verification_says_so_in_one_line(tmp_path, capsys, monke
         raise KeyboardInterrupt
 
     monkeypatch.setattr("leaderboard.verify.replay", stopped)
-    assert main(["verify", str(tmp_path / "mine")]) == 130
-    assert capsys.readouterr().err == "leaderboard: stopped\n"
+    with pytest.raises(SystemExit, match=r"^130$"):
+        main(["verify", str(tmp_path / "mine")])
+    assert capsys.readouterr().err == "stopped: the board is as it was\n"
