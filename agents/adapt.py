@@ -20,24 +20,22 @@ import rich.table
 import torch
 import tyro
 
-from agents.checkpoint import package_versions
 from agents.fine_tuning import (
     CURVE,
     AdaptationSettings,
     FineTuning,
-    TrainedRun,
     check_takes_steps,
     curve_table,
-    held_out_names,
     measure_curve,
     write_curve,
 )
-from agents.recording import progress_bar
-from agents.run_folder import ADAPTATION_CURVE, commit_of_all, git_commit, locked, read_json, write_json
+from agents.recording import progress_bar, read_result, write_result
+from agents.run_folder import ADAPTATION_CURVE, commit_of_all, git_commit, made_of, read_json, write_json
 from agents.threads import use_threads
+from agents.trained_run import TrainedRun, held_out_names
 from dynagen_bench import ids
 from dynagen_bench.evaluation import Evaluation
-from dynagen_bench.evaluation.traces import Traces, load_traces, physics_digest, save_traces
+from dynagen_bench.evaluation.traces import Traces, physics_digest
 from dynagen_bench.terminal import one_line_errors, print_table
 
 
@@ -49,13 +47,13 @@ def adapt(folder: Path, settings: AdaptationSettings) -> Path:
         ValueError: the run is of a predictor, or of another robot or agent than its folder says.
         FloatingPointError: a loss is no number any more; the dynamics that are done are kept.
     """
-    run = TrainedRun.read(folder)
-    settings = settings.for_agent(run.checkpoint.build_agent(), run.checkpoint.config)
-    assert settings.steps is not None, "for_agent fills it in"
-    robot, result, parts = run.checkpoint.spec.robot, folder / "adaptation.json", folder / "adaptation"
-    facts = _facts(run, dataclasses.asdict(settings)) | {"gradient_steps": run.checkpoint.step + settings.steps}
-    with locked(folder):
-        if _is_of(result, facts):
+    result, parts = folder / "adaptation.json", folder / "adaptation"
+    with TrainedRun.held(folder) as run:
+        settings = settings.for_agent(run.checkpoint.build_agent(), run.checkpoint.config)
+        assert settings.steps is not None, "for_agent fills it in"
+        robot, steps = run.checkpoint.spec.robot, run.checkpoint.step + settings.steps
+        facts = run.facts | {"adaptation": dataclasses.asdict(settings), "gradient_steps": steps}
+        if made_of(result, facts):
             return result
         names = ids.choose_ids(robot, "test")
         files = [parts / f"{name.label}.json" for name in names]
@@ -67,20 +65,9 @@ def adapt(folder: Path, settings: AdaptationSettings) -> Path:
             "commit": commit_of_all([part.get("commit") for part in made]),
             "threads": threads.pop() if len(threads) == 1 else 0,
         }
-        _write_result(result, {**facts, **how}, join([read_result(file) for file in files]))
+        write_result(result, {**facts, **how}, join([read_result(file) for file in files]))
         shutil.rmtree(parts)
     return result
-
-
-def _facts(run: TrainedRun, adaptation: dict[str, Any]) -> dict[str, Any]:
-    """What a result is made of: it is the same for the same."""
-    return {
-        "agent": run.checkpoint.agent,
-        "seed": run.checkpoint.seed,
-        "trained_steps": run.checkpoint.step,
-        "adaptation": adaptation,
-        "versions": package_versions(),
-    }
 
 
 def _adapt_each(
@@ -92,31 +79,12 @@ def _adapt_each(
         bar = bars.add_task(f"{run.folder.name}, adapting", total=steps * len(names), note="")
         for number, (file, name) in enumerate(names.items()):
             bars.update(bar, completed=number * steps, note=name.label)
-            if not _is_of(file, facts):
+            if not made_of(file, facts):
                 started, tuning = time.monotonic(), FineTuning(run.checkpoint, settings, name, data[number])
                 tuning.advance_to(steps, lambda: bars.advance(bar))
                 evaluation = tuning.evaluate()
                 how = {"commit": git_commit(), "threads": torch.get_num_threads()}
-                _write_result(file, {**facts, **how, "hours": (time.monotonic() - started) / 3600}, evaluation)
-
-
-def _is_of(file: Path, facts: dict[str, Any]) -> bool:
-    """There is a result, and it was made of these."""
-    return file.is_file() and facts.items() <= read_json(file).items()
-
-
-def _write_result(file: Path, facts: dict[str, Any], evaluation: Evaluation) -> None:
-    """Write the traces, then the JSON, which says that they are there."""
-    assert evaluation.traces is not None, "evaluate records traces unless told not to"
-    save_traces(file.with_suffix(".safetensors"), evaluation.traces)
-    write_json(file, {**facts, "evaluation": evaluation.to_json()})
-
-
-def read_result(file: Path) -> Evaluation:
-    """The evaluation in a JSON file of a run, with its traces, which lie beside it."""
-    evaluation = Evaluation.from_json(read_json(file)["evaluation"])
-    traces = load_traces(file.with_suffix(".safetensors"), evaluation.robot, evaluation.lengths)
-    return dataclasses.replace(evaluation, traces=traces)
+                write_result(file, {**facts, **how, "hours": (time.monotonic() - started) / 3600}, evaluation)
 
 
 def join(parts: Sequence[Evaluation]) -> Evaluation:
@@ -162,16 +130,16 @@ def choose_steps(folder: Path, settings: AdaptationSettings, points: Sequence[in
     """
     if settings.steps is not None:
         raise ValueError(f"steps is {settings.steps}, and the curve has a point after each of {points}: leave it out")
-    run, path, parts = TrainedRun.read(folder), folder / ADAPTATION_CURVE, folder / "adaptation-curve"
-    check_takes_steps(run)
-    names = held_out_names(run)
-    data = run.data(names, settings.episodes)
-    facts = _facts(run, dataclasses.asdict(settings) | {"steps": [*points]})
-    with locked(folder), progress_bar() as bars:
+    path, parts = folder / ADAPTATION_CURVE, folder / "adaptation-curve"
+    with TrainedRun.held(folder) as run, progress_bar() as bars:
+        check_takes_steps(run)
+        names = held_out_names(run)
+        data = run.data(names, settings.episodes)
+        facts = run.facts | {"adaptation": dataclasses.asdict(settings) | {"steps": [*points]}}
         bar = bars.add_task(f"{folder.name}, curve", total=max(points) * len(names), note="")
         for number, (name, own) in enumerate(zip(names, data, strict=True)):
             bars.update(bar, completed=number * max(points), note=name.label)
-            if not _is_of(part := parts / f"{name.label}.json", facts):
+            if not made_of(part := parts / f"{name.label}.json", facts):
                 means = measure_curve(run.checkpoint, settings, name, own, points, lambda: bars.advance(bar))
                 write_json(part, {**facts, "mean_returns": means})
         returns = {name.label: read_json(parts / f"{name.label}.json")["mean_returns"] for name in names}

@@ -86,8 +86,13 @@ def package_versions() -> dict[str, str]:
     return found
 
 
-def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
+def save_checkpoint(path: Path, checkpoint: Checkpoint, notes: Mapping[str, str] | None = None) -> None:
     """Write a checkpoint, whole or not at all.
+
+    Args:
+        path: the file.
+        checkpoint: what to write.
+        notes: key → text, beside the checkpoint's own in the file's metadata.
 
     Raises:
         OSError: it could not be written (a full disk); the file that was there stays.
@@ -110,9 +115,10 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
         "versions": dict(checkpoint.versions),
     }
     tensors = {name: value.detach().contiguous() for name, value in tensors.items()}
+    texts = {METADATA_KEY: json.dumps(metadata), **(notes or {})}
     try:
         with whole_file(path) as unfinished:
-            safetensors.torch.save_file(tensors, unfinished, metadata={METADATA_KEY: json.dumps(metadata)})
+            safetensors.torch.save_file(tensors, unfinished, metadata=texts)
     except (OSError, safetensors.SafetensorError) as error:
         raise OSError(f"{path} could not be written ({error}): make room; what was there is kept") from error
 

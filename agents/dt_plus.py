@@ -21,8 +21,9 @@ from torch import Tensor, nn
 from agents.acting import ContextPolicy
 from agents.config import check_first_phase
 from agents.dadt import next_states
-from agents.dt import ACTION, DecisionTransformer, DTConfig, masked_mean_square
+from agents.dt import ACTION, DecisionTransformer, DTConfig
 from agents.interface import History, RobotSpec
+from agents.mlp import next_state_loss
 from agents.trunk import linear
 from dynagen_bench.datasets.windows import Windows
 
@@ -65,13 +66,9 @@ class DTPlus(nn.Module):
         """Action error in the first phase, next-state error in the second; see `interface.Agent`."""
         if not self._trunk_is_frozen:
             return self.dt.loss(windows, generator)
-        device = self.dt.limit.device
-        history, next_observations = History.of(windows, device), torch.from_numpy(windows.next_observations).to(device)
-        assert next_observations.shape == history.observations.shape, next_observations.shape
         with torch.no_grad():  # nothing flows back into the trunk, so that none of it is kept for a backward pass
-            (at_actions,) = self.dt.encode(history, (ACTION,))
-        loss = masked_mean_square(self.next_state_head(at_actions) - next_observations, history.mask)
-        return loss, {"next_state_loss": loss}
+            (at_actions,) = self.dt.encode(History.of(windows, self.dt.limit.device), (ACTION,))
+        return next_state_loss(self.next_state_head(at_actions), windows)
 
     def predict(self, windows: Windows) -> Tensor:
         """Normalised next states (B, K, S); see `interface.Predictor`."""

@@ -12,12 +12,11 @@ from typing import Annotated, Any, Final
 import rich.table
 import tyro
 
-from agents import AGENTS
-from agents.fine_tuning import TrainedRun
 from agents.interface import Agent, Fitted
 from agents.learner import Learner
-from agents.run_folder import LEARNED, locked, read_finished, write_json
+from agents.run_folder import LEARNED, write_json
 from agents.threads import use_threads
+from agents.trained_run import TrainedRun
 from agents.validation import set_apart
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
@@ -38,9 +37,8 @@ def measure_learning(folder: Path, dynamics: int | None = None) -> dict[str, Any
         FileNotFoundError: the folder is no finished run, or the agent needs data that are not here.
         ValueError: the run is of a predictor, or there are not so many dynamics.
     """
-    read_finished(folder, AGENTS)  # a folder that is no run gets no lock
-    with locked(folder):  # from the checkpoint that is measured to the file that says so, nobody trains it on
-        record = _measured(TrainedRun.read(folder), dynamics)
+    with TrainedRun.held(folder) as run:
+        record = _measured(run, dynamics)
         write_json(folder / LEARNED, record)
     return record
 

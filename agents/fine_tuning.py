@@ -1,7 +1,8 @@
 """An agent that goes on learning in one dynamics, from a few of its episodes; and how long it should.
 
 What is here: how it is fine-tuned, and the curve by which the number of steps is chosen, in train dynamics that the run
-held out. Called by `adapt`. It must not know any agent by name, nor what is done with the test dynamics' results.
+held out. Called by `adapt`; its curve also by `targets`, its settings by `submit`. It must not know any agent by name,
+nor what is done with the test dynamics' results.
 
 Fine-tuning is training continued: the same updates on other data, with the paper's values (appendix C), a constant
 learning rate and a new optimiser. Observations stay normalised by the train data. An agent that learns in phases begins
@@ -19,15 +20,13 @@ import numpy as np
 from rich.table import Table
 from torch import Tensor
 
-from agents import AGENTS
-from agents.checkpoint import Checkpoint, load_checkpoint
+from agents.checkpoint import Checkpoint
 from agents.config import TrainingConfig, check_ranges
 from agents.interface import Agent, Contextual, ForTask, Trainable
 from agents.learner import Learner
-from agents.run_folder import read_finished
-from agents.validation import held_out_indices
+from agents.trained_run import TrainedRun
 from dynagen_bench import ids
-from dynagen_bench.datasets import OfflineDataset, load_adaptation
+from dynagen_bench.datasets import OfflineDataset
 from dynagen_bench.evaluation import Evaluation, evaluate
 from dynagen_bench.whole import whole_file
 
@@ -88,46 +87,6 @@ class AdaptationSettings:
         return dataclasses.replace(self, **{k: value for k, value in own.items() if getattr(self, k) is None})
 
 
-@dataclasses.dataclass(frozen=True)
-class TrainedRun:
-    """A run that training has ended: what its folder says.
-
-    Attributes:
-        folder: of the run.
-        config, record: config.json and evaluation.json.
-        checkpoint: the last one.
-    """
-
-    folder: Path
-    config: dict[str, Any]
-    record: dict[str, Any]
-    checkpoint: Checkpoint
-
-    @classmethod
-    def read(cls, folder: Path) -> Self:
-        """Read a run of an agent.
-
-        Raises:
-            FileNotFoundError: the folder is no finished run.
-            ValueError: the run is of a predictor, was not trained to its end, or its checkpoint is of another run or
-                step.
-        """
-        config, record = read_finished(folder, AGENTS)
-        agent, robot = config["agent"], config["settings"]["robot"]
-        checkpoint = load_checkpoint(folder / "last.safetensors", agent=agent, robot=robot)
-        if checkpoint.step != record["gradient_steps"]:
-            raise ValueError(
-                f"{folder}/last.safetensors is at step {checkpoint.step}, its evaluation of step "
-                f"{record['gradient_steps']}: give the command that trains it again"
-            )
-        return cls(folder, config, record, checkpoint)
-
-    def data(self, names: Sequence[ids.DynamicsId], episodes: int) -> list[OfflineDataset]:
-        """The adaptation set of each dynamics, from the part of the snapshots that the run was trained on."""
-        every = self.config["settings"]["every"]
-        return [load_adaptation(x.robot, x.index, split=x.split, episodes=episodes, every=every) for x in names]
-
-
 class FineTuning:
     """One agent on its way from a run's last checkpoint to one dynamics."""
 
@@ -178,16 +137,6 @@ def check_takes_steps(run: TrainedRun) -> None:
             f"{run.folder} is of {run.checkpoint.agent!r}, which is told the dynamics by data and takes no gradient "
             "step there: leave out --curve"
         )
-
-
-def held_out_names(run: TrainedRun) -> list[ids.DynamicsId]:
-    """The train dynamics that a run held out; raises ValueError if it held out none."""
-    count = run.config["settings"]["hold_out"]
-    if count == 0:
-        raise ValueError(
-            f"{run.folder} held out no train dynamics: train one with --hold-out, nothing is chosen by test dynamics"
-        )
-    return ids.choose_ids(run.checkpoint.spec.robot, "train", held_out_indices(count))
 
 
 def measure_curve(

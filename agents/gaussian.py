@@ -76,7 +76,7 @@ class GaussianActor(nn.Module):
 
     def best(self, x: Tensor) -> Tensor:
         """The action (M, R, A) at the mean of u."""
-        return torch.tanh(self.moments(x)[0]) * self.limit
+        return self.act(self.moments(x), None)
 
 
 def divergence(of: Moments, from_: Moments) -> Tensor:

@@ -4,6 +4,7 @@ What is here: reading runs, measuring their last checkpoints in the test data, a
 line. It must not know any agent by name, nor how an error is computed.
 """
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,8 +16,9 @@ import tyro
 
 from agents.checkpoint import Checkpoint, load_checkpoint
 from agents.interface import Predictor
-from agents.prediction import EPISODES, PredictionErrors, prediction_errors, write_prediction
-from agents.run_folder import DATA, read_config
+from agents.prediction import EPISODES, PredictionErrors, prediction_errors
+from agents.recording import write_prediction
+from agents.run_folder import DATA, locked, read_config
 from agents.threads import use_threads
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
@@ -62,21 +64,26 @@ def predict(
 
     Raises:
         FileNotFoundError: a folder is no run, or the test data are not here.
-        ValueError: the runs do not belong in one table.
+        ValueError: the runs do not belong in one table, or another process works in one.
     """
     if not runs:
         raise ValueError("no runs given: name at least one run folder")
     use_threads(threads)
-    found = [read_run(folder) for folder in runs]
-    parts = check_comparable(found, test_every)
+    for folder in runs:
+        read_run(folder)  # a folder that is no run gets no lock
     measured, unchanged = dict[tuple[str, str], list[float]](), dict[str, float]()
-    for run in found:
-        errors = measure(run, parts[run.checkpoint.spec.robot], episodes)
-        if errors is None:
-            print(f"{run.folder}: {run.checkpoint.agent} does not predict the next state, left out")
-        else:
-            measured.setdefault(run.cell, []).append(errors.mean)
-            unchanged[errors.robot] = float(errors.unchanged.mean())
+    with contextlib.ExitStack() as held:  # from what is measured to the record of it, nobody trains a run on
+        for folder in dict.fromkeys(folder.resolve() for folder in runs):
+            held.enter_context(locked(folder))
+        found = [read_run(folder) for folder in runs]
+        parts = check_comparable(found, test_every)
+        for run in found:
+            errors = measure(run, parts[run.checkpoint.spec.robot], episodes)
+            if errors is None:
+                print(f"{run.folder}: {run.checkpoint.agent} does not predict the next state, left out")
+            else:
+                measured.setdefault(run.cell, []).append(errors.mean)
+                unchanged[errors.robot] = float(errors.unchanged.mean())
     if measured:
         print_table(table(measured, unchanged))
 
@@ -86,13 +93,14 @@ def read_run(folder: Path) -> Run:
 
     Raises:
         FileNotFoundError: the folder is no run.
-        ValueError: its files are not what training writes.
+        ValueError: its files are not what training writes, or not of one run.
     """
     for file in ("config.json", "last.safetensors"):
         if not (folder / file).is_file():
             raise FileNotFoundError(f"{folder} is no run, it has no {file}: give a folder that training made")
-    settings = read_config(folder)["settings"]
-    return Run(folder, load_checkpoint(folder / "last.safetensors"), settings)
+    about = read_config(folder)
+    agent, settings = about["agent"], about["settings"]
+    return Run(folder, load_checkpoint(folder / "last.safetensors", agent=agent, robot=settings["robot"]), settings)
 
 
 def check_comparable(runs: Sequence[Run], test_every: int | None) -> dict[str, int]:

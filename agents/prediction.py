@@ -1,7 +1,7 @@
 """How well the next state is predicted: the errors of the paper's Table 3 and Figure 4.
 
-What is here: the mean square error in each dynamics of a dataset, and the record of it in a run folder. Called by
-`train`, for what predicts and does not act, and by `predict`. It must not know any predictor by name.
+What is here: the mean square error in each dynamics of a dataset. Called by `recording`, for what predicts and does not
+act, and by `predict`. It must not know any predictor by name, nor run folders.
 
 The data of each episode are cut into windows of K steps, 0 to K − 1, K to 2K − 1 and so on; what is left at the end is
 a window that is padded. So each step is predicted once, one step ahead, by an agent that sees 0 to K − 1 steps before
@@ -11,7 +11,6 @@ S elements and all steps of a dynamics. The error of a robot is the mean over it
 
 import dataclasses
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -20,15 +19,9 @@ import rich.progress
 import torch
 from numpy.typing import NDArray
 
-from agents.checkpoint import Checkpoint, package_versions
 from agents.interface import Predictor
-from agents.learner import Learner
-from agents.run_folder import write_json
 from dynagen_bench.datasets import Normalization, OfflineDataset, Windows, WindowSampler
 from dynagen_bench.datasets.subsets import spread_episodes
-
-PREDICTION: Final = "prediction.json"
-"""Of a run folder: the errors in the test dynamics."""
 
 EPISODES: Final = 200
 """Of each test dynamics, where no other number is given: a fifth of the data tells what all of them do."""
@@ -154,43 +147,6 @@ def spread_over(dataset: OfflineDataset, episodes: int) -> NDArray[np.int64]:
         own = np.flatnonzero(dataset.episode_dynamics == dynamics)
         chosen.append(own[spread_episodes(dataset.episode_returns[own], min(episodes, len(own)))])
     return np.concatenate(chosen)
-
-
-def record_prediction(
-    learner: Learner, folder: Path, test: OfflineDataset, every: int, *, official: bool
-) -> dict[str, float]:
-    """Measure a predictor in training, keep it if it is official, and return what the curves show."""
-    assert isinstance(learner.agent, Predictor), f"{learner.name} neither acts nor predicts"
-    errors = prediction_errors(learner.agent, test, learner.spec.normalization, learner.config.context, progress=False)
-    if official:
-        write_prediction(folder, learner.checkpoint(), errors, every, EPISODES)
-    return {"test_error": errors.mean}
-
-
-def write_prediction(
-    folder: Path, checkpoint: Checkpoint, errors: PredictionErrors, every: int, episodes: int | None
-) -> None:
-    """Write `prediction.json` in a run folder.
-
-    Args:
-        folder: the run's.
-        checkpoint: that was measured.
-        errors: its errors in the test dynamics.
-        every: the part of the data that they are of, one in this many snapshots.
-        episodes: at most this many of each dynamics; None stands for all.
-    """
-    record = {
-        "agent": checkpoint.agent,
-        "seed": checkpoint.seed,
-        "gradient_steps": checkpoint.step,
-        "hours": checkpoint.seconds / 3600,
-        "context": checkpoint.config.context,
-        "every": every,
-        "episodes": episodes,
-        "versions": package_versions(),
-        "prediction": errors.to_json(),
-    }
-    write_json(folder / PREDICTION, record)
 
 
 def _batches(windows: int, label: str, progress: bool) -> Iterator[slice]:

@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import safetensors
-import safetensors.torch
 
 from agents import AGENTS
 from agents.checkpoint import load_checkpoint, save_checkpoint
-from agents.fine_tuning import TrainedRun
 from agents.interface import Agent
 from agents.recording import score_if_known
+from agents.trained_run import TrainedRun
 from dynagen_bench.evaluation import Evaluation
-from dynagen_bench.whole import whole_file
 
 FOLDER: Final = Path(__file__).with_name("pretrained")
 
@@ -91,13 +89,8 @@ def store_run(run: Path, replace: bool = False, folder: Path = FOLDER) -> Path:
         "commit": config["commit"],
         "command": config.get("command"),
     }
-    with whole_file(path) as unfinished:
-        save_checkpoint(unfinished, dataclasses.replace(checkpoint, optimizer={}))
-        with safetensors.safe_open(unfinished, framework="pt") as file:
-            metadata = file.metadata()
-        tensors = safetensors.torch.load_file(unfinished)
-        note = {METADATA_KEY: json.dumps(about, default=str)}
-        safetensors.torch.save_file(tensors, unfinished, metadata={**metadata, **note})
+    notes = {METADATA_KEY: json.dumps(about, default=str)}
+    save_checkpoint(path, dataclasses.replace(checkpoint, optimizer={}), notes)
     return path
 
 

@@ -1,27 +1,28 @@
 """What is seen and kept of a run: its progress, and what it can do, measured now and then and in the end.
 
 What is here: who acts is evaluated in the test dynamics and who predicts is tested on their data, by what it is and not
-by its name; the files that this leaves. Called by `train`, and by whoever reads or shows a run. It must not know the
+by its name; the files that this leaves. Called by `train`, `adapt`, `predict` and `submit`. It must not know the
 training loop.
 """
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import rich.console
 import rich.progress
 
 from agents import TRAINABLE
-from agents.checkpoint import package_versions, save_checkpoint
-from agents.interface import Agent
+from agents.checkpoint import Checkpoint, package_versions, save_checkpoint
+from agents.interface import Agent, Predictor
 from agents.learner import Learner
-from agents.prediction import PREDICTION, record_prediction
-from agents.run_folder import RunSettings, read_json, write_json
-from dynagen_bench.datasets import load_dataset
+from agents.prediction import EPISODES, PredictionErrors, prediction_errors
+from agents.run_folder import PREDICTION, RunSettings, read_json, write_json
+from dynagen_bench.datasets import OfflineDataset, load_dataset
 from dynagen_bench.evaluation import Evaluation, evaluate
-from dynagen_bench.evaluation.traces import save_traces
+from dynagen_bench.evaluation.traces import load_traces, save_traces
 
 
 class Record(Protocol):
@@ -52,28 +53,78 @@ def record_evaluation(learner: Learner, folder: Path, official: bool) -> dict[st
     """Evaluate in the test dynamics, keep it if it is the best so far or official, and return what the curves show."""
     assert isinstance(learner.agent, Agent), f"{learner.name} does not act"
     evaluation = evaluate(learner.agent.policy(), learner.spec.robot, split="test")
-    traces = evaluation.traces
-    assert traces is not None, "evaluate records traces unless told not to"
-    record = {
+    facts = {
         "agent": learner.name,
         "seed": learner.seed,
         "gradient_steps": learner.step,
         "stopped_early": official and learner.step < learner.config.steps,
         "hours": learner.seconds / 3600,
         "versions": package_versions(),
-        "evaluation": evaluation.to_json(),
     }
     mean_return = float(evaluation.returns.mean())  # orders as the score does, and needs no reference scores
     best = folder / "evaluation-best.json"
     if not best.is_file() or mean_return > Evaluation.from_json(read_json(best)["evaluation"]).returns.mean():
         best.unlink(missing_ok=True)  # a kill before the third file leaves none of two steps: this is measured again
-        save_traces(best.with_suffix(".safetensors"), traces)
         save_checkpoint(folder / "best.safetensors", dataclasses.replace(learner.checkpoint(), optimizer={}))
-        write_json(best, record)
+        write_result(best, facts, evaluation)
     if official:
-        save_traces(folder / "evaluation.safetensors", traces)
-        write_json(folder / "evaluation.json", record)
+        write_result(folder / "evaluation.json", facts, evaluation)
     return {"test_return": mean_return, **score_if_known(evaluation)}
+
+
+def write_result(file: Path, facts: Mapping[str, Any], evaluation: Evaluation) -> None:
+    """Write an evaluation's traces, then the JSON with what it is of, which says that they are there."""
+    assert evaluation.traces is not None, "evaluate records traces unless told not to"
+    save_traces(file.with_suffix(".safetensors"), evaluation.traces)
+    write_json(file, {**facts, "evaluation": evaluation.to_json()})
+
+
+def read_result(file: Path) -> Evaluation:
+    """The evaluation in a JSON file of a run, with its traces, which lie beside it.
+
+    Raises:
+        ValueError: one line, the files are not what `write_result` writes.
+    """
+    evaluation = Evaluation.from_json(read_json(file)["evaluation"])
+    traces = load_traces(file.with_suffix(".safetensors"), evaluation.robot, evaluation.lengths)
+    return dataclasses.replace(evaluation, traces=traces)
+
+
+def record_prediction(
+    learner: Learner, folder: Path, test: OfflineDataset, every: int, *, official: bool
+) -> dict[str, float]:
+    """Measure a predictor in training, keep it if it is official, and return what the curves show."""
+    assert isinstance(learner.agent, Predictor), f"{learner.name} neither acts nor predicts"
+    errors = prediction_errors(learner.agent, test, learner.spec.normalization, learner.config.context, progress=False)
+    if official:
+        write_prediction(folder, learner.checkpoint(), errors, every, EPISODES)
+    return {"test_error": errors.mean}
+
+
+def write_prediction(
+    folder: Path, checkpoint: Checkpoint, errors: PredictionErrors, every: int, episodes: int | None
+) -> None:
+    """Write `prediction.json` in a run folder.
+
+    Args:
+        folder: the run's.
+        checkpoint: that was measured.
+        errors: its errors in the test dynamics.
+        every: the part of the data that they are of, one in this many snapshots.
+        episodes: at most this many of each dynamics; None stands for all.
+    """
+    record = {
+        "agent": checkpoint.agent,
+        "seed": checkpoint.seed,
+        "gradient_steps": checkpoint.step,
+        "hours": checkpoint.seconds / 3600,
+        "context": checkpoint.config.context,
+        "every": every,
+        "episodes": episodes,
+        "versions": package_versions(),
+        "prediction": errors.to_json(),
+    }
+    write_json(folder / PREDICTION, record)
 
 
 def score_if_known(evaluation: Evaluation) -> dict[str, float]:

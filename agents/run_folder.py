@@ -18,7 +18,8 @@ know any agent.
       adaptation.safetensors  beside it; adaptation/ holds the dynamics that are done, until all are
       adaptation-curve.csv    returns by steps of fine-tuning, in train dynamics that the run held out (`adapt --curve`)
                               adaptation-curve/, too, holds the dynamics that are done, until all are
-      target-curve.csv        returns by what is asked for, in train dynamics that the run held out (`agents.targets`)
+      target-curve.csv        returns by what is asked for, in train dynamics that the run held out (`agents.targets`);
+                              target-curve/ holds the targets that are done, until all are
       prediction.json         the last checkpoint's next-state errors in the data of the test dynamics: what a predictor
                               has in place of evaluations, and `predict` adds for agents that can
       evaluation-train.json   returns in train dynamics, beside the untrained agent's and those of random actions
@@ -51,6 +52,12 @@ DATA: Final = ("every", "quality", "hold_out")
 
 _RECORD_ONLY: Final = ("runs", "name", "evaluate_every", "checkpoint_every", "log_every", "threads")
 """Settings that a run may continue with others of; another number of threads moves the last bits of its parameters."""
+
+PREDICTION: Final = "prediction.json"
+"""Of a run folder: errors of next states in the test dynamics."""
+
+TENSORBOARD: Final = "tensorboard"
+"""Of a run folder: a folder of TensorBoard's events, where the run was trained."""
 
 LEARNED: Final = "evaluation-train.json"
 """Of a run folder: mean returns in train dynamics (`agents.evaluate`)."""
@@ -128,6 +135,11 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON, whole or not at all."""
     with whole_file(path) as unfinished:
         unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def made_of(path: Path, facts: Mapping[str, Any]) -> bool:
+    """Whether there is a JSON file of a result at `path`, and it was made of these facts."""
+    return path.is_file() and facts.items() <= read_json(path).items()
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -298,7 +310,7 @@ class Curves:
         if self._path.is_file():
             with self._path.open(newline="", encoding="utf-8") as file:
                 self._rows = [row for row in csv.DictReader(file) if int(row["step"]) <= step]
-        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
+        self._board = SummaryWriter(str(folder / TENSORBOARD), purge_step=step + 1)
 
     def add(self, step: int, values: Mapping[str, float]) -> None:
         """Add numbers to the line of a step."""

@@ -18,6 +18,7 @@ import tyro
 
 from agents import AGENTS
 from agents.fine_tuning import PAPER, AdaptationSettings
+from agents.recording import read_result
 from agents.run_folder import (
     DATA,
     RunSettings,
@@ -29,9 +30,9 @@ from agents.run_folder import (
     usual_config,
 )
 from dynagen_bench import ids
-from dynagen_bench.evaluation.result import EpisodeRecord, first_error
+from dynagen_bench.evaluation import Evaluation
+from dynagen_bench.evaluation.result import first_error
 from dynagen_bench.evaluation.submission import MAX_POINTS, CurvePoint, Run, Submission, write_submission
-from dynagen_bench.evaluation.traces import Traces, load_traces
 from dynagen_bench.terminal import one_line_errors
 
 Track = Literal["zero-shot", "adaptation"]
@@ -46,8 +47,8 @@ class FinishedRun(NamedTuple):
     """evaluation.json, of the last checkpoint."""
     record: dict[str, Any]
     """The result that is submitted, which may be another."""
-    traces: Traces
-    """Of that result."""
+    evaluation: Evaluation
+    """Of that result, with its traces."""
     curve: list[CurvePoint]
 
 
@@ -110,12 +111,20 @@ def submit(
             versions=_the_same("versions", [record["versions"] for record in records]),
             commands=[command for run in found for command in _commands(run, checkpoint)],
             runs=[
-                _run(run, commit if len(set(commits)) > 1 else None) for run, commit in zip(found, commits, strict=True)
+                Run.from_evaluation(
+                    run.evaluation,
+                    seed=run.record["seed"],
+                    gradient_steps=run.record["gradient_steps"],
+                    curve=run.curve,
+                    commit=commit if len(set(commits)) > 1 else None,
+                )
+                for run, commit in zip(found, commits, strict=True)
             ],
         )
     except pydantic.ValidationError as error:
         raise ValueError(f"not a submission: {first_error(error)}") from error
-    return write_submission(output, submission, [run.traces for run in found])
+    traces = [run.evaluation.traces for run in found]
+    return write_submission(output, submission, [one for one in traces if one is not None])
 
 
 def _privileged(agent: str, track: Track) -> Literal["none", "own-history", "offline-context"]:
@@ -139,12 +148,11 @@ def _read_run(folder: Path, checkpoint: str, track: Track) -> FinishedRun:
         raise ValueError(f"{folder} was adapted at step {at} and trained to {now} since: adapt it again")
     if checkpoint == "best":  # found in the whole run's time
         record["hours"] = last["hours"]
-    evaluation = EpisodeRecord.model_validate(record["evaluation"]).evaluation()
-    traces = load_traces(folder / f"{name}.safetensors", evaluation.robot, evaluation.lengths)
+    evaluation = read_result(folder / f"{name}.json")
     points = [] if track == "adaptation" else read_curve(folder, "test_return")  # it is of agents without fine-tuning
     points = points[:: -max(1, math.ceil(len(points) / MAX_POINTS))][::-1]  # as many as are taken, the last among them
     curve = [CurvePoint(gradient_steps=step, mean_return=value) for step, value in points]
-    return FinishedRun(config, last, record, traces, curve)
+    return FinishedRun(config, last, record, evaluation, curve)
 
 
 def _commit(run: FinishedRun) -> str | None:
@@ -155,19 +163,6 @@ def _commit(run: FinishedRun) -> str | None:
     trained = run.config["commit"]
     commit = commit_of_all([trained, run.record.get("commit", trained)])
     return commit if is_committed(commit) else None
-
-
-def _run(run: FinishedRun, commit: str | None) -> Run:
-    evaluation = EpisodeRecord.model_validate(run.record["evaluation"])
-    return Run(
-        robot=evaluation.robot,
-        seed=run.record["seed"],
-        gradient_steps=run.record["gradient_steps"],
-        evaluation=evaluation,
-        trace=run.traces.sha256,
-        curve=run.curve,
-        commit=commit,
-    )
 
 
 def _the_same(what: str, values: list[Any]) -> Any:

@@ -20,7 +20,7 @@ from typing import Any, Final
 from agents.braces import expand
 from agents.config import TrainingConfig
 from agents.recording import run_files
-from agents.run_folder import RunSettings, check_same_run, ends_run, read_config, read_json
+from agents.run_folder import TENSORBOARD, RunSettings, check_same_run, ends_run, read_config, read_json
 from agents.train import parse
 from dynagen_bench.jobs import Job
 
@@ -93,7 +93,7 @@ def is_finished(one: SweepRun, runs: Path) -> bool:
     """Whether a run is complete in its folder, by a sweep or by `agents.train` itself.
 
     Raises:
-        ValueError: the folder is of a run with another config, or other settings.
+        ValueError: the folder is of a run with another config or other settings, or of one that `agents.train` is at.
     """
     path = runs / one.name / "config.json"
     if not path.is_file():
@@ -103,7 +103,14 @@ def is_finished(one: SweepRun, runs: Path) -> bool:
     there, here = ({k: v for k, v in facts.items() if k not in _OURS} for facts in (old, _description(one)))
     check_same_run(path.parent, there, here, instead="--runs")
     files = [runs / output for output in one.job.outputs]
-    return all(file.is_file() for file in files) and ends_run(read_json(files[-1]), one.config.steps)
+    if all(file.is_file() for file in files) and ends_run(read_json(files[-1]), one.config.steps):
+        return True
+    if (path.parent / TENSORBOARD).is_dir():  # a sweep trains elsewhere and moves no events here
+        raise ValueError(
+            f"{path.parent} was begun by agents.train and is not finished: go on with `{found.get('command')}`, or "
+            "delete the folder"
+        )
+    return False
 
 
 def _description(one: SweepRun) -> dict[str, Any]:

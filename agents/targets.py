@@ -6,17 +6,20 @@ know any agent by name, nor touch the test dynamics: a target is chosen without 
 """
 
 import dataclasses
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Final
 
 import tyro
 
-from agents.fine_tuning import TrainedRun, curve_table, held_out_names, write_curve
+from agents.fine_tuning import curve_table, write_curve
 from agents.interface import Agent
 from agents.recording import progress_bar
-from agents.run_folder import TARGET_CURVE, locked
+from agents.run_folder import TARGET_CURVE, made_of, read_json, write_json
 from agents.threads import use_threads
+from agents.trained_run import TrainedRun, held_out_names
+from dynagen_bench import ids
 from dynagen_bench.datasets.scores import reference_scores
 from dynagen_bench.evaluation import evaluate
 from dynagen_bench.terminal import one_line_errors, print_table
@@ -40,24 +43,33 @@ def measure_targets(folder: Path, targets: Sequence[float] = ()) -> dict[float, 
         ValueError: the run is of a predictor or of an agent that is asked for nothing, held out no dynamics, or a
             target is no finite number.
     """
-    run = TrainedRun.read(folder)
-    names, robot = held_out_names(run), run.checkpoint.spec.robot
-    if not hasattr(run.checkpoint.config, "target_return"):
-        raise ValueError(f"{folder} is of {run.checkpoint.agent!r}, which is asked for no return: it has no target")
-    asked, found = tuple(targets) or usual_targets(robot), dict[float, dict[str, float]]()
-    with locked(folder), progress_bar() as bars:
+    parts, found = folder / "target-curve", dict[float, dict[str, float]]()
+    with TrainedRun.held(folder) as run, progress_bar() as bars:
+        names = held_out_names(run)
+        if not hasattr(run.checkpoint.config, "target_return"):
+            raise ValueError(f"{folder} is of {run.checkpoint.agent!r}, which is asked for no return: it has no target")
+        asked = tuple(targets) or usual_targets(run.checkpoint.spec.robot)
         bar = bars.add_task(f"{folder.name}, asking", total=len(asked), note="")
         for target in asked:
             bars.update(bar, note=f"for {target:g}")
-            config = dataclasses.replace(run.checkpoint.config, target_return=target)  # type: ignore[call-arg]
-            agent = dataclasses.replace(run.checkpoint, config=config).build_agent()
-            assert isinstance(agent, Agent), "`TrainedRun` is of agents alone"
-            indices = [name.index for name in names]
-            means = evaluate(agent.policy(), robot, "train", indices=indices, traces=False).returns.mean(axis=1)
-            found[target] = {name.label: float(mean) for name, mean in zip(names, means, strict=True)}
+            part, facts = parts / f"{target!r}.json", run.facts | {"target_return": target}
+            if not made_of(part, facts):
+                write_json(part, facts | {"mean_returns": _mean_returns(run, target, names)})
+            found[target] = read_json(part)["mean_returns"]
             bars.advance(bar)
-            write_curve(folder / TARGET_CURVE, "target_return", [*found], _by_dynamics(found))
+        write_curve(folder / TARGET_CURVE, "target_return", [*found], _by_dynamics(found))
+        shutil.rmtree(parts)
     return found
+
+
+def _mean_returns(run: TrainedRun, target: float, names: Sequence[ids.DynamicsId]) -> dict[str, float]:
+    """Label of a train dynamics → the run's mean return there when it is asked for `target`."""
+    config = dataclasses.replace(run.checkpoint.config, target_return=target)  # type: ignore[call-arg]
+    agent = dataclasses.replace(run.checkpoint, config=config).build_agent()
+    assert isinstance(agent, Agent), "`TrainedRun` is of agents alone"
+    indices, robot = [name.index for name in names], run.checkpoint.spec.robot
+    means = evaluate(agent.policy(), robot, "train", indices=indices, traces=False).returns.mean(axis=1)
+    return {name.label: float(mean) for name, mean in zip(names, means, strict=True)}
 
 
 def usual_targets(robot: str) -> tuple[float, ...]:
@@ -94,8 +106,7 @@ def _command(
 
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
-    left = "target-curve.csv has the targets that were measured; name the others with --targets"
-    with one_line_errors(stopped=left):
+    with one_line_errors(stopped="give the same command again to continue"):
         tyro.cli(_command, prog="python -m agents.targets", args=arguments)
 
 

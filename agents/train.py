@@ -26,11 +26,11 @@ from agents.checkpoint import Checkpoint, load_checkpoint, package_versions, sav
 from agents.config import TrainingConfig
 from agents.interface import Fitted, RobotSpec, Sampler
 from agents.learner import Learner
-from agents.prediction import PREDICTION
 from agents.recording import Record, progress_bar, recorder, score_if_known
 from agents.run_folder import (
     ADAPTATION_CURVE,
     LEARNED,
+    PREDICTION,
     TARGET_CURVE,
     Curves,
     RunSettings,
@@ -93,16 +93,9 @@ def train(
         check_finite(dataset)
         normalization = dataset.normalization()
         learner = Learner(name, config, RobotSpec.of_robot(settings.robot, normalization), settings.seed)
-        last = folder / "last.safetensors"
-        if last.is_file():
-            checkpoint = load_checkpoint(last, agent=name, robot=settings.robot)
-            check_same_run(last, _identity(checkpoint), _identity(learner.checkpoint()), instead="--name")
-            _check_same_data(folder, checkpoint.spec.normalization, normalization)
-            learner.restore(checkpoint)
+        _resume(learner, folder)
         if before is not None and learner.step > 0:  # the steps that are there were made by its commit
             description["commit"] = commit_of_all([before.get("commit"), description["commit"]])
-        if learner.step > config.steps:
-            raise ValueError(f"{folder} is at step {learner.step} already: give --steps {learner.step} or more")
         check_patience(name, learner.agent, settings.patience)
         returns = [point for point in read_curve(folder, "validation_return") if point[0] <= learner.step]
         done = learner.step == config.steps or has_stalled(returns, settings.evaluate_every, settings.patience)
@@ -124,6 +117,23 @@ def train(
         finally:
             curves.close()
     return folder
+
+
+def _resume(learner: Learner, folder: Path) -> None:
+    """Bring a new learner to the last checkpoint of a run folder, if it has one.
+
+    Raises:
+        ValueError: the checkpoint is of another run, of other data, or of a later step than is asked for.
+    """
+    last = folder / "last.safetensors"
+    if not last.is_file():
+        return
+    checkpoint = load_checkpoint(last, agent=learner.name, robot=learner.spec.robot)
+    check_same_run(last, _identity(checkpoint), _identity(learner.checkpoint()), instead="--name")
+    _check_same_data(folder, checkpoint.spec.normalization, learner.spec.normalization)
+    learner.restore(checkpoint)
+    if learner.step > learner.config.steps:
+        raise ValueError(f"{folder} is at step {learner.step} already: give --steps {learner.step} or more")
 
 
 def _identity(checkpoint: Checkpoint) -> dict[str, Any]:

@@ -27,10 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents import AGENTS
-from agents.prediction import PREDICTION
 from agents.run_folder import (
     ADAPTATION_CURVE,
     LEARNED,
+    PREDICTION,
     TARGET_CURVE,
     ends_run,
     is_committed,

@@ -97,7 +97,13 @@ class Run(pydantic.BaseModel):
 
     @classmethod
     def from_evaluation(
-        cls, evaluation: Evaluation, *, seed: int, gradient_steps: int, curve: Sequence[CurvePoint] = ()
+        cls,
+        evaluation: Evaluation,
+        *,
+        seed: int,
+        gradient_steps: int,
+        curve: Sequence[CurvePoint] = (),
+        commit: str | None = None,
     ) -> "Run":
         """The run whose checkpoint was evaluated; its traces are to be given to `write_submission`, too."""
         return cls(
@@ -107,6 +113,7 @@ class Run(pydantic.BaseModel):
             evaluation=EpisodeRecord.from_evaluation(evaluation),
             trace=None if evaluation.traces is None else evaluation.traces.sha256,
             curve=list(curve),
+            commit=commit,
         )
 
     @pydantic.model_validator(mode="after")

@@ -3,13 +3,14 @@
 import csv
 import dataclasses
 import json
+import shutil
 
 import pytest
 
 from agents.checkpoint import save_checkpoint
 from agents.learner import Learner
 from agents.predict import main, summary
-from agents.run_folder import RunSettings, write_json
+from agents.run_folder import RunSettings, locked, write_json
 from agents.train import describe
 from agents.train import main as train_main
 from tests.agents.samples import K, hopper_spec, random_dataset, tiny_config
@@ -131,6 +132,23 @@ def test_bad_input_is_one_line(tiny_data, tmp_path, capsys):
         with pytest.raises(SystemExit, match=message) as stop:
             main([str(argument) for argument in arguments])
         assert "\n" not in str(stop.value)
+
+
+def test_nobody_trains_on_what_is_measured(tiny_data, tmp_path):
+    run = trained("mlp", tmp_path)
+    before = (run / "prediction.json").stat().st_mtime_ns
+    with locked(run), pytest.raises(SystemExit, match="another process works in"):
+        main([str(run)])
+    assert (run / "prediction.json").stat().st_mtime_ns == before
+    main([str(run), "--threads", "1"])
+    assert (run / "prediction.json").stat().st_mtime_ns != before
+
+
+def test_a_checkpoint_of_another_agent_is_no_run(tiny_data, tmp_path):
+    run, other = trained("mlp", tmp_path), trained("lstm", tmp_path)
+    shutil.copyfile(other / "last.safetensors", run / "last.safetensors")
+    with pytest.raises(SystemExit, match="is of agent 'lstm', not 'mlp'"):
+        main([str(run)])
 
 
 def test_a_cell_of_the_table():

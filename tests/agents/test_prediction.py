@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 
 from agents import PREDICTORS
 from agents.learner import Learner
-from agents.prediction import PREDICTION, PredictionErrors, prediction_errors, record_prediction, tiles
+from agents.prediction import PredictionErrors, prediction_errors, tiles
+from agents.recording import record_prediction
+from agents.run_folder import PREDICTION
 from dynagen_bench.datasets import Normalization, WindowSampler
 from tests.agents.samples import S, hopper_spec, random_dataset
 from tests.tiny_data import three_step_episodes

@@ -48,6 +48,15 @@ def test_runs_become_a_submission_that_the_leaderboard_reads(tmp_path):
     assert found.versions.keys() >= {"torch", "mujoco", "numpy", "gymnasium"}
 
 
+def test_a_damaged_result_is_one_line(tmp_path):
+    folder = run(tmp_path)
+    record = json.loads((folder / "evaluation.json").read_text())
+    record["evaluation"]["seeds"] = "x"
+    (folder / "evaluation.json").write_text(json.dumps(record))
+    with pytest.raises(ValueError, match=r"\A[^\n]*seeds[^\n]*\Z"):
+        submit([folder], tmp_path / "out", authors=["A. Name"])
+
+
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(

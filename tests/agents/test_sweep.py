@@ -140,6 +140,20 @@ def test_a_killed_sweep_goes_on_and_ends_as_one_that_was_not(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("tiny_data")
+def test_a_run_that_agents_train_is_at_is_not_taken_from_it(tmp_path):
+    line = f"transformer_bc --robot Hopper --steps 20 {TINY}"
+    train.main([*line.split(), "--runs", str(tmp_path)])
+    folder = tmp_path / "transformer_bc-Hopper-seed0"
+    (folder / "evaluation.json").unlink()
+    before = {path: path.read_bytes() for path in folder.glob("*.*")}
+    with pytest.raises(SystemExit, match=r"was begun by agents\.train and is not finished: go on with `python -m"):
+        main([line, "--runs", str(tmp_path)])
+    assert {path: path.read_bytes() for path in folder.glob("*.*")} == before
+    train.main([*line.split(), "--runs", str(tmp_path)])  # as it says
+    main([line, "--runs", str(tmp_path)])
+
+
+@pytest.mark.usefixtures("tiny_data")
 def test_a_run_that_agents_train_has_finished_is_not_run_again(tmp_path, capsys):
     line = f"transformer_bc --robot Hopper --steps 20 {TINY}"
     train.main([*line.split(), "--runs", str(tmp_path)])
@@ -174,7 +188,8 @@ def test_a_predictor_that_was_measured_on_the_way_is_not_finished(tmp_path, monk
             train.main([*line.split(), "--runs", str(tmp_path)])
     predict.main([str(tmp_path / one.name)])
     assert all((tmp_path / output).is_file() for output in one.job.outputs)
-    assert not is_finished(one, tmp_path)
+    with pytest.raises(ValueError, match="is not finished"):
+        is_finished(one, tmp_path)
     train.main([*line.split(), "--runs", str(tmp_path)])
     assert is_finished(one, tmp_path)
 

@@ -2,14 +2,17 @@
 
 import csv
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agents.checkpoint import load_checkpoint
+from agents.run_folder import locked
 from agents.targets import main, measure_targets, usual_targets
 from agents.train import train
+from agents.trained_run import TrainedRun
 from dynagen_bench.datasets import load_dataset
 from dynagen_bench.datasets.scores import Reference
 from dynagen_bench.evaluation import evaluate
@@ -65,8 +68,31 @@ def test_an_interruption_loses_no_target_that_was_measured(run, monkeypatch):
     monkeypatch.setattr("agents.targets.evaluate", stopped)
     with pytest.raises(SystemExit, match=r"^130$"):
         main([str(run), "--targets", "50", "100"])
+    assert not (run / "target-curve.csv").exists()
+    measured.clear()
+    monkeypatch.setattr("agents.targets.evaluate", lambda *some, **more: measured.append(1) or evaluate(*some, **more))
+    main([str(run), "--targets", "50", "100"])
+    assert len(measured) == 1  # 100 alone
     with (run / "target-curve.csv").open() as file:
-        assert [line["target_return"] for line in csv.DictReader(file)] == ["50.0"]
+        assert [line["target_return"] for line in csv.DictReader(file)] == ["50.0", "100.0"]
+    assert not (run / "target-curve").exists()
+
+
+def test_what_an_earlier_checkpoint_returned_is_not_taken(run, monkeypatch):
+    found = measure_targets(run, (50.0,))
+    part = run / "target-curve" / "50.0.json"
+    part.parent.mkdir()
+    about = TrainedRun.read(run).facts | {"target_return": 50.0, "mean_returns": dict.fromkeys(found[50.0], -1.0)}
+    part.write_text(json.dumps(about))
+    assert set(measure_targets(run, (50.0,))[50.0].values()) == {-1.0}  # what is of this checkpoint is taken
+    part.parent.mkdir()
+    part.write_text(json.dumps(about | {"trained_steps": 1}))
+    assert measure_targets(run, (50.0,)) == found
+
+
+def test_nobody_trains_on_what_is_measured(run):
+    with locked(run), pytest.raises(ValueError, match="another process works in"):
+        measure_targets(run, (50.0,))
 
 
 def test_what_has_no_target_to_choose_is_said_in_one_line(run, tmp_path, tiny_data):
