@@ -1,6 +1,7 @@
 """An agent in training: its gradient steps, and the way to a checkpoint and back.
 
-What is here: `Learner`. Called by `train`. It must not know files, the data's origin or any agent by name.
+What is here: `Learner`. Called by `train`, and by whatever fine-tunes or measures. It must not know files, the data's
+origin or any agent by name.
 """
 
 import math

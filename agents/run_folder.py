@@ -1,7 +1,7 @@
 """A run's folder: what training leaves behind, and how it knows a run again.
 
-What is here: the folder's files, `RunSettings`, and the curves. Called by `train`, `adapt` and `submit`. It must not
-know any agent.
+What is here: the folder's files, `RunSettings`, and the curves. Called by whatever makes, continues or reads a run. It
+must not know any agent.
 
     runs/dadt-Hopper-seed0/
       config.json             resolved config and settings, data, package versions, git commit: of the last command that
@@ -249,7 +249,7 @@ def ends_run(record: Mapping[str, Any], steps: int) -> bool:
 
 def same_length(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     """Whether two descriptions of a run say alike when it ends."""
-    first, second = _facts(one), _facts(other)
+    first, second = facts_of(one), facts_of(other)
     return all(first[key] == second[key] for key in _LENGTH)
 
 
@@ -265,13 +265,13 @@ def check_same_run(folder: Path, there: Mapping[str, Any], here: Mapping[str, An
 
 def identity(description: Mapping[str, Any]) -> dict[str, Any]:
     """What tells runs apart; the number of steps is a part of it where the learning rate falls towards the last."""
-    facts = _facts(json.loads(json.dumps(description)))
+    facts = facts_of(json.loads(json.dumps(description)))
     length = {"patience"} if facts.get("decay_steps") else set(_LENGTH)
     return {key: value for key, value in facts.items() if key not in {*_RECORD_ONLY, *length}}
 
 
-def _facts(description: Mapping[str, Any]) -> dict[str, Any]:
-    """All that a description tells of what is trained, flat."""
+def facts_of(description: Mapping[str, Any]) -> dict[str, Any]:
+    """All that a description tells of what is trained, its agent, config, settings and data, flat."""
     parts = {"agent": description["agent"]}
     for group in ("config", "settings", "data"):
         parts |= description.get(group, {})

@@ -32,7 +32,14 @@ from agents.run_folder import (
 from dynagen_bench import ids
 from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.evaluation.result import first_error
-from dynagen_bench.evaluation.submission import MAX_POINTS, CurvePoint, Run, Submission, write_submission
+from dynagen_bench.evaluation.submission import (
+    FORMAT_VERSION,
+    MAX_POINTS,
+    CurvePoint,
+    Run,
+    Submission,
+    write_submission,
+)
 from dynagen_bench.terminal import one_line_errors
 
 Track = Literal["zero-shot", "adaptation"]
@@ -96,7 +103,7 @@ def submit(
     _the_same("adaptation", [record.get("adaptation") for record in records])
     try:
         submission = Submission(
-            format_version=2,
+            format_version=FORMAT_VERSION,
             agent=name or agent,
             authors=authors,
             description=" ".join((description or _summary(agent), _training_line(found))),

@@ -13,14 +13,14 @@ import itertools
 import json
 import re
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from agents.braces import expand
 from agents.config import TrainingConfig
 from agents.recording import run_files
-from agents.run_folder import TENSORBOARD, RunSettings, check_same_run, ends_run, read_config, read_json
+from agents.run_folder import TENSORBOARD, RunSettings, check_same_run, ends_run, facts_of, read_config, read_json
 from agents.train import parse
 from dynagen_bench.jobs import Job
 
@@ -51,14 +51,20 @@ class SweepRun:
     settings: RunSettings
 
     @property
-    def job(self) -> Job:
-        """The run as a job."""
+    def description(self) -> dict[str, Any]:
+        """Its agent, config and settings, but for where it is, as JSON types."""
         settings = {k: v for k, v in dataclasses.asdict(self.settings).items() if k != "runs"}
         content = {"agent": self.agent, "config": dataclasses.asdict(self.config), "settings": settings}
+        described: dict[str, Any] = json.loads(json.dumps(content))
+        return described
+
+    @property
+    def job(self) -> Job:
+        """The run as a job."""
         return Job(
             name=self.name,
             function="agents.sweep:train_one",
-            arguments=json.loads(json.dumps(content | {"command": self.command})),
+            arguments=self.description | {"command": self.command},
             outputs=tuple(f"{self.name}/{file}" for file in run_files(self.agent)),
             total=self.config.steps,
         )
@@ -76,7 +82,7 @@ def plan(lines: Sequence[str]) -> list[SweepRun]:
     names: dict[str, SweepRun] = {}
     same: dict[str, SweepRun] = {}
     for one in planned:
-        what = json.dumps({k: v for k, v in _description(one).items() if k not in _OURS}, sort_keys=True)
+        what = json.dumps(_asked(one.description), sort_keys=True)
         if what in same:
             raise ValueError(f"the same run twice, {same[what].command!r} and {one.command!r}: leave one out")
         if one.name in names:
@@ -99,9 +105,8 @@ def is_finished(one: SweepRun, runs: Path) -> bool:
     if not path.is_file():
         return False
     found = read_config(path.parent)
-    old = {**found["settings"], **found["config"], "agent": found["agent"]}
-    there, here = ({k: v for k, v in facts.items() if k not in _OURS} for facts in (old, _description(one)))
-    check_same_run(path.parent, there, here, instead="--runs")
+    there = {key: value for key, value in found.items() if key != "data"}  # which no command line tells
+    check_same_run(path.parent, _asked(there), _asked(one.description), instead="--runs")
     files = [runs / output for output in one.job.outputs]
     if all(file.is_file() for file in files) and ends_run(read_json(files[-1]), one.config.steps):
         return True
@@ -113,10 +118,9 @@ def is_finished(one: SweepRun, runs: Path) -> bool:
     return False
 
 
-def _description(one: SweepRun) -> dict[str, Any]:
-    parts = dataclasses.asdict(one.settings) | dataclasses.asdict(one.config) | {"agent": one.agent}
-    described: dict[str, Any] = json.loads(json.dumps(parts, default=str))
-    return described
+def _asked(description: Mapping[str, Any]) -> dict[str, Any]:
+    """What a command line asks for, flat, but for what a sweep fixes."""
+    return {key: value for key, value in facts_of(description).items() if key not in _OURS}
 
 
 def _runs_of(line: str) -> list[SweepRun]:

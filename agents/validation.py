@@ -1,7 +1,8 @@
 """Selection without peeking: how an agent in training does in train dynamics that it is not trained on.
 
 What is here: which dynamics are held out, what is measured in them, and when training stops by it. Called by `train`,
-and by `adapt` for its curve. It must not know the training loop, nor test dynamics: those are for the result alone.
+`evaluate`, and by `trained_run` for what is chosen there. It must not know the training loop, nor test dynamics: those
+are for the result alone.
 """
 
 from collections.abc import Sequence

@@ -18,7 +18,7 @@ from dynagen_bench.datasets.scores import reference_scores
 from dynagen_bench.evaluation.experts import behaviour_policy, best_policy, snapshots_of_tests
 from dynagen_bench.evaluation.policy import Policy
 from dynagen_bench.evaluation.rollout import action_space, evaluate
-from dynagen_bench.evaluation.submission import MAX_RUNS, Run, Submission
+from dynagen_bench.evaluation.submission import FORMAT_VERSION, MAX_RUNS, Run, Submission
 from dynagen_bench.evaluation.traces import Traces
 
 
@@ -133,7 +133,7 @@ def baseline_submission(
     options = "" if policy == "random" else f" --policy {policy}"
     options += "" if policy in _SEEDLESS or runs == 5 else f" --runs {runs}"
     submission = Submission(
-        format_version=2,
+        format_version=FORMAT_VERSION,
         authors=["DynaGen Bench"],
         track="zero-shot",
         checkpoint="last",
