@@ -1,7 +1,7 @@
 """Files and folders that appear whole or not at all, whenever a process is killed.
 
-What is here: the right to make a folder, and making it; making a file. Called by everything that writes. It must not
-know what is in them.
+What is here: the right to make a folder, making it, and putting right what a kill has left; making a file. Called by
+everything that writes. It must not know what is in them.
 
 Beside a folder `name` there may be, hidden so that no listing of datasets sees them:
 
@@ -17,7 +17,7 @@ import os
 import shutil
 import stat
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 
@@ -74,28 +74,51 @@ def exclusively(folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def whole_folder(folder: Path) -> Iterator[Path]:
+def whole_folder(folder: Path, then: Callable[[], None] = lambda: None) -> Iterator[Path]:
     """Yield an empty folder to fill; when the block ends well it becomes `folder`, in place of the one there was.
 
-    The caller holds `exclusively(folder)`. After an error nothing is left, and `folder` is what it was.
+    The caller holds `exclusively(folder)`, or one lock for all folders beside it. After an error nothing is left, and
+    `folder` is what it was.
+
+    Args:
+        folder: the one to make.
+        then: what is made from it, elsewhere: called when `folder` is the new one. After an error there, too, `folder`
+            is what it was; after a kill there it is the new one.
     """
+    recover(folder.parent, glob.escape(folder.name))
     # a name of this process's own: where somebody has removed the lock, two may be here, and neither takes the other's
     unfinished = folder.with_name(f".{folder.name}.{os.getpid()}.unfinished")
     replaced = folder.with_name(f".{folder.name}.replaced")
-    _put_back(replaced, folder)
-    for leftover in (replaced, *folder.parent.glob(f".{glob.escape(folder.name)}.*unfinished")):
-        shutil.rmtree(leftover, ignore_errors=True)
     unfinished.mkdir(parents=True)
+    made = os.open(unfinished, os.O_RDONLY)  # held, so that no other folder gets its number if somebody removes it
     try:
         yield unfinished
         if folder.exists():
             os.replace(folder, replaced)
         os.replace(unfinished, folder)
-    except BaseException:
+        then()
+    except BaseException:  # an interruption too
+        if _is_at(folder, os.fstat(made)):
+            os.replace(folder, unfinished)  # away in one step: half of it would look whole after a kill
         _put_back(replaced, folder)
         shutil.rmtree(unfinished, ignore_errors=True)
         raise
+    finally:
+        os.close(made)
     shutil.rmtree(replaced, ignore_errors=True)
+
+
+def recover(parent: Path, names: str = "*") -> None:
+    """Finish or take back what killed processes have left of folders in `parent`; the caller holds their lock.
+
+    Args:
+        parent: the folder that they are in.
+        names: which of them, as a pattern of `glob`.
+    """
+    for replaced in sorted(parent.glob(f".{names}.replaced")):
+        _put_back(replaced, parent / replaced.name.removeprefix(".").removesuffix(".replaced"))
+    for leftover in [*parent.glob(f".{names}.replaced"), *parent.glob(f".{names}.*unfinished")]:
+        shutil.rmtree(leftover, ignore_errors=True)
 
 
 def _is_at(path: Path, file: os.stat_result) -> bool:

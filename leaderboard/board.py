@@ -12,18 +12,17 @@ from pathlib import Path
 from typing import Final
 
 from dynagen_bench.evaluation.submission import FILE_NAME, Submission, trace_content
-from dynagen_bench.whole import exclusively, whole_file
+from dynagen_bench.whole import exclusively, recover, whole_file, whole_folder
 from leaderboard.copies import check_copies
 from leaderboard.entries import (
     FOLDER,
     LABELS,
     VERDICT,
     Entry,
-    entry_in_place,
     read_entries,
     read_official,
-    recover,
     slug_of,
+    write_entry,
 )
 from leaderboard.joining import joined
 from leaderboard.markdown import page
@@ -182,8 +181,9 @@ def build(board: Path = BOARD) -> Path:
     Raises as `read_entries` does; the old pages stay then.
     """
     read_entries(board)
-    with _locked(board), _pages_in_place(board, _pages(read_entries(board))):
-        return board / PAGE
+    with _locked(board):
+        _write_pages(board, _pages(read_entries(board)))
+    return board / PAGE
 
 
 def is_current(board: Path = BOARD) -> bool:
@@ -201,7 +201,7 @@ def _pages(entries: Sequence[Entry]) -> dict[str, bytes]:
 def _locked(board: Path) -> Iterator[None]:
     """Be the only one who changes the board, after what a killed one has left is put right."""
     with exclusively(board / FOLDER):
-        recover(board)
+        recover(board / FOLDER)
         yield
 
 
@@ -239,17 +239,15 @@ def _put(board: Path, entry: Entry, sources: Sequence[Path]) -> None:
     """Entry and pages, both or neither."""
     entries = {other.slug: other for other in read_entries(board)} | {entry.slug: entry}
     pages = _pages([entries[slug] for slug in sorted(entries)])
-    with entry_in_place(board, entry, sources), _pages_in_place(board, pages):
-        pass
+    with whole_folder(board / FOLDER / entry.slug, then=lambda: _write_pages(board, pages)) as unfinished:
+        write_entry(unfinished, entry, sources)
 
 
-@contextlib.contextmanager
-def _pages_in_place(board: Path, pages: Mapping[str, bytes]) -> Iterator[None]:
-    """Write the pages; after an error, here or in the block, they are what they were."""
+def _write_pages(board: Path, pages: Mapping[str, bytes]) -> None:
+    """Write the pages; after an error they are what they were."""
     before = {name: (board / name).read_bytes() if (board / name).is_file() else None for name in pages}
     try:
         _write(board, pages)
-        yield
     except BaseException:  # an interruption too
         _write(board, before)
         raise

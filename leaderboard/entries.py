@@ -12,15 +12,12 @@ how a submission is verified.
           verification.json       what the board found; not there if there is nothing to replay
 """
 
-import contextlib
 import dataclasses
 import functools
 import hashlib
-import os
 import re
-import shutil
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal
 
@@ -167,57 +164,26 @@ def _digest(submission: Submission) -> str:
     return hashlib.sha256(submission_text(submission).encode("utf-8")).hexdigest()
 
 
-@contextlib.contextmanager
-def entry_in_place(board: Path, entry: Entry, sources: Sequence[Path]) -> Iterator[None]:
-    """Put an entry into its folder, in place of the one that was there, for as long as the block ends well.
-
-    After an error in the block, or before it, the board has what it had. The caller holds the board's lock; a kill
-    leaves the old entry or the new one, where `recover` has been called.
+def write_entry(folder: Path, entry: Entry, sources: Sequence[Path]) -> None:
+    """Write an entry's files into an empty folder.
 
     Args:
-        board: the board's folder.
+        folder: what becomes the entry's.
         entry: what to store.
-        sources: folders of submissions whose traces are copied, each from the first that has it; the entry's own
-            folder, too.
+        sources: folders of submissions whose traces are copied, each from the first that has it; the folder of the
+            entry that is replaced, too.
+
+    Raises:
+        FileNotFoundError, ValueError: a trace is missing, or is not the one that the entry names.
     """
-    place = board / FOLDER / entry.slug
-    unfinished, replaced = (place.with_name(f".{entry.slug}.{state}") for state in ("unfinished", "replaced"))
-    new = not place.is_dir()
-    try:
-        _fill(unfinished, entry, sources)
-        if not new:
-            os.replace(place, replaced)
-        os.replace(unfinished, place)
-        yield
-    except BaseException:  # an interruption too
-        shutil.rmtree(unfinished, ignore_errors=True)
-        if new or replaced.is_dir():
-            shutil.rmtree(place, ignore_errors=True)
-        if replaced.is_dir():
-            os.replace(replaced, place)
-        raise
-    shutil.rmtree(replaced, ignore_errors=True)
-
-
-def _fill(place: Path, entry: Entry, sources: Sequence[Path]) -> None:
     for run in entry.submission.runs:
         if run.trace is not None:  # one at a time in memory, and compared with its hash again
-            source = next((folder for folder in sources if (folder / run.trace_name).is_file()), sources[0])
-            with whole_file(place / run.trace_name) as unfinished:
+            source = next((source for source in sources if (source / run.trace_name).is_file()), sources[0])
+            with whole_file(folder / run.trace_name) as unfinished:
                 unfinished.write_bytes(trace_content(source, run))
     if entry.label != "self-reported":
         verdict = Verdict(label=entry.label, submission=_digest(entry.submission))
-        with whole_file(place / VERDICT) as unfinished:
+        with whole_file(folder / VERDICT) as unfinished:
             unfinished.write_text(verdict.model_dump_json(indent=1) + "\n", encoding="utf-8")
-    with whole_file(place / FILE_NAME) as unfinished:
+    with whole_file(folder / FILE_NAME) as unfinished:
         unfinished.write_text(submission_text(entry.submission), encoding="utf-8")
-
-
-def recover(board: Path) -> None:
-    """Finish or take back what a killed submit has left; the caller holds the board's lock."""
-    for left in sorted((board / FOLDER).glob(".*.replaced")):
-        place = left.with_name(left.name.removeprefix(".").removesuffix(".replaced"))
-        if not place.exists():
-            os.replace(left, place)
-    for left in [*(board / FOLDER).glob(".*.replaced"), *(board / FOLDER).glob(".*.unfinished")]:
-        shutil.rmtree(left, ignore_errors=True)

@@ -5,12 +5,13 @@ import contextlib
 import multiprocessing
 import os
 import shutil
+import signal
 import threading
 import time
 
 import pytest
 
-from dynagen_bench.whole import check_writable, exclusively, whole_file, whole_folder
+from dynagen_bench.whole import check_writable, exclusively, recover, whole_file, whole_folder
 
 
 def begin_and_stop(folder):
@@ -77,6 +78,74 @@ def test_the_old_folder_comes_back_when_the_new_one_cannot_have_its_name(tmp_pat
         (unfinished / "new").touch()
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
     assert [path.name for path in folder.iterdir()] == ["old"]
+
+
+@pytest.mark.parametrize("there", [True, False])
+@pytest.mark.parametrize("killed", [True, False])
+def test_the_old_folder_comes_back_when_what_follows_fails(tmp_path, monkeypatch, there, killed):
+    folder = tmp_path / "data"
+    if there:
+        folder.mkdir()
+        (folder / "old").touch()
+
+    def fail():
+        assert [path.name for path in folder.iterdir()] == ["new"]
+        if killed:  # before anything can be deleted
+            monkeypatch.setattr(shutil, "rmtree", lambda *_, **__: None)
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"), whole_folder(folder, then=fail) as unfinished:
+        (unfinished / "new").touch()
+    monkeypatch.undo()
+    recover(tmp_path)
+    assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")] == (["data", "data/old"] if there else [])
+
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def make_and_die(folder):
+    with whole_folder(folder, then=die) as unfinished:
+        (unfinished / "new").touch()
+
+
+def test_after_a_kill_in_what_follows_the_folder_is_the_new_one(tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "old").touch()
+    child = multiprocessing.get_context("fork").Process(target=make_and_die, args=(tmp_path / "data",))
+    child.start()
+    child.join(10)
+    assert child.exitcode == -signal.SIGKILL
+    recover(tmp_path)
+    assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")] == ["data", "data/new"]
+
+
+def test_what_killed_processes_left_of_every_folder_is_put_right(tmp_path):
+    for name in ("one", ".one.replaced", ".two.replaced", ".two.7.unfinished", ".three.7.unfinished"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "from").write_text(name)
+    recover(tmp_path, "t*")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".one.replaced", "one", "two"]
+    recover(tmp_path)
+    assert {path.name: (path / "from").read_text() for path in tmp_path.iterdir()} == {
+        "one": "one",
+        "two": ".two.replaced",
+    }
+
+
+def test_another_s_folder_is_left_alone_by_one_whose_own_was_removed(tmp_path):
+    folder = tmp_path / "data"
+
+    def robbed():
+        with whole_folder(folder) as unfinished:
+            unfinished.rmdir()
+            folder.mkdir()
+            (folder / "theirs").touch()
+
+    with pytest.raises(FileNotFoundError):
+        robbed()
+    assert [path.name for path in folder.iterdir()] == ["theirs"]
 
 
 def test_two_that_a_removed_lock_no_longer_parts_take_nothing_of_each_other(tmp_path):
