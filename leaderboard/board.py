@@ -56,7 +56,7 @@ def submit(
     Args:
         folder: holds `submission.json` and the traces that it names; nothing else in it is read or copied.
         board: the board's folder.
-        replace: take the place of an entry of the same name.
+        replace: take the place of an entry of the same name, whose label may be broken; `folder` may be that entry's.
         join: add the runs to those of the entry of the same name.
         done: called with each run that has been verified.
 
@@ -71,8 +71,10 @@ def submit(
     submission = read_official(folder)
     run_scores(submission)  # there have to be reference scores
     _check_name(board, submission, replace or join)
-    if join:
-        joined(_entry(board, slug_of(submission)).submission, submission)  # raises before the long replay
+    if join:  # this and the next raise before the long replay
+        joined(_entry(board, slug_of(submission)).submission, submission)
+    elif board.is_dir():
+        read_entries(board, but=slug_of(submission))
     entry = _verified(folder, submission, done)
     with _locked(board):
         _check_name(board, submission, replace or join)
@@ -82,7 +84,7 @@ def submit(
             whole = joined(there.submission, entry.submission)
             entry = Entry(entry.slug, whole, min(there.label, entry.label, key=LABELS.index))
             sources.insert(0, board / FOLDER / entry.slug)
-        check_copies(folder, entry.submission, read_entries(board))
+        check_copies(folder, entry.submission, read_entries(board, but=entry.slug))
         _put(board, entry, sources)
     return entry
 
@@ -214,7 +216,7 @@ def _check_name(board: Path, submission: Submission, replace: bool) -> None:
         raise FileExistsError(
             f"{board} has an entry {slug!r}: give --replace, --join to add runs to it, or another name to the agent"
         )
-    there = _entry(board, slug).submission.agent
+    there = read_official(board / FOLDER / slug).agent
     if _spelling(there) != _spelling(submission.agent):  # `DT` and `DT+` have one folder name
         raise FileExistsError(
             f"{board} has an entry {slug!r}, of {there!r} and not of {submission.agent!r}: give the agent another name"
@@ -237,8 +239,8 @@ def _with_returns(submission: Submission, checks: Sequence[RunCheck]) -> Submiss
 
 def _put(board: Path, entry: Entry, sources: Sequence[Path]) -> None:
     """Entry and pages, both or neither."""
-    entries = {other.slug: other for other in read_entries(board)} | {entry.slug: entry}
-    pages = _pages([entries[slug] for slug in sorted(entries)])
+    entries = [*read_entries(board, but=entry.slug), entry]
+    pages = _pages(sorted(entries, key=lambda entry: entry.slug))
     with whole_folder(board / FOLDER / entry.slug, then=lambda: _write_pages(board, pages)) as unfinished:
         write_entry(unfinished, entry, sources)
 

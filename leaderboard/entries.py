@@ -19,7 +19,7 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import pydantic
 
@@ -45,7 +45,7 @@ Label = Literal["self-reported", "replayed (tolerance)", "replayed", "re-run"]
 """What is known of an entry's returns, from the least to the most: they were sent in; its actions give them, but for
 rounding; its actions give them exactly; maintainers have run the policy itself, and it did the same."""
 
-LABELS: Final[tuple[Label, ...]] = ("self-reported", "replayed (tolerance)", "replayed", "re-run")
+LABELS: Final[tuple[Label, ...]] = get_args(Label)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,10 +121,14 @@ def _official_seeds(robot: str) -> list[list[int]]:
     return seeds
 
 
-def read_entries(board: Path) -> list[Entry]:
+def read_entries(board: Path, but: str | None = None) -> list[Entry]:
     """Read every entry of a board, in order of slugs; what an interrupted submit left behind is passed over.
 
     Labels are those that the board has written down; nothing is replayed.
+
+    Args:
+        board: the board's folder.
+        but: the name of an entry that is left out unread: it is to be replaced, and may be broken.
 
     Raises:
         FileNotFoundError: there is no such board, or an entry's folder is without its file.
@@ -136,7 +140,7 @@ def read_entries(board: Path) -> list[Entry]:
     places = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
     entries = []
     for place in places:
-        if place.name.startswith("."):
+        if place.name.startswith(".") or place.name == but:
             continue
         submission = read_official(place)
         if slug_of(submission) != place.name:
@@ -148,15 +152,15 @@ def read_entries(board: Path) -> list[Entry]:
 
 
 def _read_label(place: Path, submission: Submission) -> Label:
-    path = place / VERDICT
+    path, mend = place / VERDICT, f"submit {place} with --replace, which verifies it anew"
     try:
         verdict = Verdict.model_validate_json(read_inside(place, VERDICT, 4096))
     except FileNotFoundError:
         return "self-reported"
     except pydantic.ValidationError as error:
-        raise ValueError(f"{path}: {first_error(error)}") from error
+        raise ValueError(f"{path}: {first_error(error)}: {mend}") from error
     if verdict.submission != _digest(submission):
-        raise ValueError(f"{path}: submission: it was made for another {FILE_NAME}, submit the entry again")
+        raise ValueError(f"{path}: submission: it was made for another {FILE_NAME}: {mend}")
     return verdict.label
 
 

@@ -104,6 +104,31 @@ def test_an_agents_name_is_mended_by_replacing_its_entry(tmp_path, board):
     assert [entry.submission.agent for entry in read_entries(board)] == ["My-Agent"]
 
 
+@pytest.mark.parametrize("broken", ['{"label": "replayed", "submission": "' + "0" * 64 + '"}', '{"label": "best"}'])
+def test_a_broken_label_is_mended_as_its_message_says(tmp_path, board, monkeypatch, capsys, broken):
+    traced(tmp_path / "mine", seeds=(0,))
+    entry = submit(tmp_path / "mine", board)
+    pages = (board / PAGE).read_bytes()
+    place = board / "entries" / entry.slug
+    (place / VERDICT).write_text(broken)
+    traced(tmp_path / "more", seeds=(1,))
+    write_submission(tmp_path / "other", submission(agent="other"))
+    command = rf"submit {place} with --replace, which verifies it anew$"
+    with monkeypatch.context() as patch:
+        patch.setattr(boards, "verify", None)  # it is said before the replay of minutes
+        for folder, join in (("other", False), ("more", True)):
+            with pytest.raises(ValueError, match=command):
+                submit(tmp_path / folder, board, join=join)
+    assert main(["verify", "--all", "--board", str(board)]) == 2
+    assert command[:-1] in capsys.readouterr().err
+    assert main(["submit", str(place), "--replace", "--board", str(board)]) == 0
+    assert read_entries(board) == [entry]
+    assert (board / PAGE).read_bytes() == pages
+    (place / VERDICT).write_text(broken)
+    assert submit(tmp_path / "more", board, replace=True).submission.runs[0].seed == 1
+    assert [one.label for one in read_entries(board)] == ["replayed"]
+
+
 def test_an_agent_takes_no_place_of_one_whose_name_has_the_same_letters(tmp_path, board):
     traced(tmp_path / "dt", agent="DT")
     submit(tmp_path / "dt", board)
