@@ -1,11 +1,11 @@
 """The drawings of the page, as SVG that is readable on a light and on a dark page.
 
-What is here: `learning_curves` and `error_bars`, each the text of one file. Called by the page. It must not know files.
+What is here: `learning_curves` and `error_bars`, each a `Drawing`. Called by the page. It must not know files.
 """
 
 import html
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from agents import AGENTS
 from agents.summary.charts import Scale, curve_of, line, scale_of
@@ -43,7 +43,14 @@ _DARK: Final = """
 """
 
 
-def learning_curves(robot: str, curves: Mapping[str, Sequence[Mapping[int, float]]]) -> str:
+class Drawing(NamedTuple):
+    """What a file shows, in a few words, and its text."""
+
+    title: str
+    svg: str
+
+
+def learning_curves(robot: str, curves: Mapping[str, Sequence[Mapping[int, float]]]) -> Drawing:
     """SVG of scores in the test dynamics by gradient steps: each run a thin line, their mean a thick one.
 
     Args:
@@ -70,10 +77,10 @@ def learning_curves(robot: str, curves: Mapping[str, Sequence[Mapping[int, float
     parts += [_x_label(x.at(tick), f"{tick:,.0f}") for tick in x.ticks]
     parts.append(f'<text class="middle" x="{WIDTH / 2:g}" y="{HEIGHT + 36}">gradient steps</text>')
     about = "Score in the test dynamics: each run, and the mean over runs"
-    return _drawing(f"{robot}: learning curves", about, y, [_grid(y), *parts, _key(numbers)])
+    return _drawing(f"{robot}: learning curves", about, [_grid(y), *parts, _key(numbers)])
 
 
-def error_bars(robot: str, errors: Mapping[str, Estimate], unchanged: float | None = None) -> str:
+def error_bars(robot: str, errors: Mapping[str, Estimate], unchanged: float | None = None) -> Drawing:
     """SVG of next-state errors, the paper's Figure 4: mean over runs, and its 95 % interval as a whisker.
 
     Args:
@@ -97,10 +104,11 @@ def error_bars(robot: str, errors: Mapping[str, Estimate], unchanged: float | No
         parts.append(f'<path class="still" d="M0 {down:g}H{WIDTH}"/>')
         parts.append(f'<text x="{WIDTH + 8}" y="{down + 4:g}">no change, {unchanged:.3g}</text>')
     about = "Mean square error of normalised next states in the test dynamics, logarithmic; less is better"
-    return _drawing(f"{robot}: next-state errors", about, y, [_grid(y), *parts])
+    return _drawing(f"{robot}: next-state errors", about, [_grid(y), *parts])
 
 
-def _drawing(title: str, about: str, y: Scale, inside: Sequence[str]) -> str:
+def _drawing(title: str, about: str, inside: Sequence[str]) -> Drawing:
+    name, note = html.escape(title), html.escape(about)
     width, height = LEFT + WIDTH + RIGHT, TOP + HEIGHT + BOTTOM
     light, dark = (
         " ".join(
@@ -109,23 +117,22 @@ def _drawing(title: str, about: str, y: Scale, inside: Sequence[str]) -> str:
         )
         for which in (0, 1)
     )
-    return "\n".join(
-        [
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" aria-label="{title}">',
-            f"<title>{title}</title>",
-            f"<desc>{html.escape(about)}</desc>",
-            f"<style>{_STYLE}{light} @media (prefers-color-scheme: dark) {{{_DARK}{dark} }}</style>",
-            f'<rect class="page" width="{width}" height="{height}" rx="8"/>',
-            f'<text class="title" x="{LEFT}" y="28">{title}</text>',
-            f'<text x="{LEFT}" y="48">{html.escape(about)}</text>',
-            f'<g transform="translate({LEFT} {TOP})">',
-            f'<rect class="panel" width="{WIDTH}" height="{HEIGHT}"/>',
-            *inside,
-            "</g>",
-            "</svg>",
-            "",
-        ]
-    )
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" aria-label="{name}">',
+        f"<title>{name}</title>",
+        f"<desc>{note}</desc>",
+        f"<style>{_STYLE}{light} @media (prefers-color-scheme: dark) {{{_DARK}{dark} }}</style>",
+        f'<rect class="page" width="{width}" height="{height}" rx="8"/>',
+        f'<text class="title" x="{LEFT}" y="28">{name}</text>',
+        f'<text x="{LEFT}" y="48">{note}</text>',
+        f'<g transform="translate({LEFT} {TOP})">',
+        f'<rect class="panel" width="{WIDTH}" height="{HEIGHT}"/>',
+        *inside,
+        "</g>",
+        "</svg>",
+        "",
+    ]
+    return Drawing(title, "\n".join(lines))
 
 
 def _grid(y: Scale) -> str:

@@ -16,7 +16,7 @@ from leaderboard.board import BOARD
 from leaderboard.entries import Entry, read_entries
 from results import tables
 from results.claims import PREDICTORS, claims, final_scores
-from results.figures import error_bars, learning_curves
+from results.figures import Drawing, error_bars, learning_curves
 from results.kept import (
     FOLDER,
     REFERENCE,
@@ -194,7 +194,7 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
     for group, of, fact in ((REFERENCE, runs, "agent"), *((group, varied[group], VARIED[group]) for group in VARIED)):
         check_seeds(group, of, fact)
     low, weights = kept_scores("low-quality", folder), final_scores(varied["next-state-weight"], "next_state_weight")
-    figures = {name: text for robot in ids.ROBOTS for name, text in _figures(robot, runs, errors).items()}
+    figures = {name: one for robot in ids.ROBOTS for name, one in _figures(robot, runs, errors).items()}
     parts = [
         INTRODUCTION,
         CLAIMS,
@@ -213,7 +213,8 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
         tables.training(runs),
         *(part for group, of in own.items() if of for part in (f"{TITLES[group]}:", tables.training(of))),
     ]
-    return {PAGE: "\n\n".join(part.strip("\n") for part in parts) + "\n", **figures}
+    text = "\n\n".join(part.strip("\n") for part in parts) + "\n"
+    return {PAGE: text, **{name: drawing.svg for name, drawing in figures.items()}}
 
 
 def _scores(entries: Sequence[Entry], runs: Sequence[Run]) -> list[str]:
@@ -242,8 +243,8 @@ def _learning(folder: Path) -> list[str]:
     return [LEARNING, tables.learning(records)] if records else []
 
 
-def _figures(robot: str, runs: Sequence[Run], errors: Sequence[Errors]) -> dict[str, str]:
-    """File → SVG, of a robot that there are runs of."""
+def _figures(robot: str, runs: Sequence[Run], errors: Sequence[Errors]) -> dict[str, Drawing]:
+    """File → drawing, of a robot that there are runs of."""
     found = {}
     groups = [group for group in grouped(runs) if group.robot == robot and group.runs[0].about["agent"] != ACTS_AS_DT]
     curves = {group.label: scores for group in groups if (scores := group.curves("test_score"))}
@@ -257,9 +258,8 @@ def _figures(robot: str, runs: Sequence[Run], errors: Sequence[Errors]) -> dict[
     return found
 
 
-def _pictures(figures: Mapping[str, str], kind: str) -> list[str]:
-    names = [name for name in figures if name.endswith(f"-{kind}.svg")]
-    return [f"![{figures[name].split('<title>')[1].split('</title>')[0]}]({name})\n" for name in names]
+def _pictures(figures: Mapping[str, Drawing], kind: str) -> list[str]:
+    return [f"![{one.title}]({name})\n" for name, one in figures.items() if name.endswith(f"-{kind}.svg")]
 
 
 def _choices(folder: Path) -> list[str]:

@@ -166,7 +166,7 @@ def test_check_sees_a_page_that_is_stale(tmp_path, monkeypatch, capsys):
 
 def test_a_point_of_a_curve_lies_where_it_should():
     # scores 0 and 100 have a margin of 4 % on either side: 100 is 4/108 below the top of the 240 units
-    drawing = learning_curves("Hopper", {"dt": [{0: 0.0, 100: 100.0}, {0: 0.0, 100: 0.0}]})
+    drawing = learning_curves("Hopper", {"dt": [{0: 0.0, 100: 100.0}, {0: 0.0, 100: 0.0}]}).svg
     lines = [part for part in drawing.splitlines() if "polyline" in part]
     assert [line.count('class="run') for line in lines] == [1, 1, 0]
     for line, end in zip(lines, ("8.88", "231.12", "120"), strict=True):
@@ -174,26 +174,30 @@ def test_a_point_of_a_curve_lies_where_it_should():
 
 
 def test_a_run_that_was_measured_once_is_a_point():
-    drawing = learning_curves("Hopper", {"dt": [{0: 0.0, 100: 100.0}], "merpo": [{50: 50.0}]})
+    drawing = learning_curves("Hopper", {"dt": [{0: 0.0, 100: 100.0}], "merpo": [{50: 50.0}]}).svg
     assert '<circle class="fill4" cx="280" cy="120" r="3"/>' in drawing
 
 
 def test_an_agent_has_one_colour_on_every_drawing():
     for agents in (["dadt", "transformer_bc"], ["transformer_bc"], list(AGENTS)):
-        drawing = learning_curves("Hopper", {agent: [{0: 0.0, 100: 50.0}] for agent in agents})
+        drawing = learning_curves("Hopper", {agent: [{0: 0.0, 100: 50.0}] for agent in agents}).svg
         assert 'class="line stroke6"' in drawing
         assert drawing.count('class="line') == len({*re.findall(r'class="line (stroke\d+)"', drawing)}) == len(agents)
 
 
 def test_what_has_to_be_beaten_is_a_line():
     # from 0.1 / 1.5 to 10 · 1.5 there are 2.352 powers of ten, 1 lies in their middle
-    drawing = error_bars("Hopper", {"lstm": Estimate(0.1, None, None), "dt": Estimate(10.0, None, None)}, unchanged=1.0)
+    drawing = error_bars(
+        "Hopper", {"lstm": Estimate(0.1, None, None), "dt": Estimate(10.0, None, None)}, unchanged=1.0
+    ).svg
     assert f'd="M0 120H{560}"' in drawing
     assert "no change, 1" in drawing
 
 
 def test_names_are_escaped():
-    text = error_bars("Hopper", {"<b>": Estimate(0.1, None, None), "lstm": Estimate(0.01, 0.001, (0.005, 0.015))})
-    assert "&lt;b&gt;" in text
-    assert "<b>" not in text
-    ElementTree.fromstring(text)
+    robot, errors = 'A "<b>" & B', {"<b>": Estimate(0.1, None, None), "lstm": Estimate(0.01, 0.001, (0.005, 0.015))}
+    for drawing in (error_bars(robot, errors), learning_curves(robot, {"<b>": [{0: 0.0, 100: 50.0}]})):
+        assert drawing.title.startswith(f"{robot}: ")
+        assert "<b>" not in drawing.svg
+        root = ElementTree.fromstring(drawing.svg)
+        assert root.attrib["aria-label"] == root.findtext("{http://www.w3.org/2000/svg}title") == drawing.title
