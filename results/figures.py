@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 from agents import AGENTS
 from agents.summary.charts import Scale, curve_of, line, scale_of
-from agents.summary.intervals import Estimate
+from agents.summary.intervals import MeanEstimate
 
 WIDTH, HEIGHT = 560, 240
 """Of the drawing area."""
@@ -80,7 +80,7 @@ def learning_curves(robot: str, curves: Mapping[str, Sequence[Mapping[int, float
     return _drawing(f"{robot}: learning curves", about, [_grid(y), *parts, _key(numbers)])
 
 
-def error_bars(robot: str, errors: Mapping[str, Estimate], unchanged: float | None = None) -> Drawing:
+def error_bars(robot: str, errors: Mapping[str, MeanEstimate], unchanged: float | None = None) -> Drawing:
     """SVG of next-state errors, the paper's Figure 4: mean over runs, and its 95 % interval as a whisker.
 
     Args:

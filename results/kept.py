@@ -258,7 +258,7 @@ def kept_learning(group: str = REFERENCE, folder: Path = FOLDER) -> list[dict[st
     return [read_json(path) for path in sorted((folder / "runs" / group).glob(f"*/{LEARNED}"))]
 
 
-def held_out_curves(group: str, name: str, folder: Path = FOLDER) -> dict[str, dict[int, float]]:
+def held_out_curves(group: str, name: str, folder: Path = FOLDER) -> dict[str, dict[float, float]]:
     """Name of a run → steps of fine-tuning, or what was asked for → mean return in the train dynamics it held out.
 
     Args:
@@ -270,7 +270,7 @@ def held_out_curves(group: str, name: str, folder: Path = FOLDER) -> dict[str, d
     for path in sorted((folder / "runs" / group).glob(f"*/{name}")):
         with path.open(newline="", encoding="utf-8") as file:
             _, *lines = csv.reader(file)
-        found[path.parent.name] = {round(float(at)): float(mean) for at, mean, *_ in lines}
+        found[path.parent.name] = {float(at): float(mean) for at, mean, *_ in lines}
     return found
 
 

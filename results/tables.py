@@ -11,7 +11,7 @@ from typing import Any, Final
 from agents.evaluate import COMPARED
 from agents.run_folder import DATA, RunSettings, usual_config
 from agents.summary.builder import final_text
-from agents.summary.intervals import Estimate, estimate
+from agents.summary.intervals import MeanEstimate, mean_estimate
 from agents.summary.runs import Run, grouped
 from dynagen_bench import ids
 from dynagen_bench.markdown import table
@@ -100,9 +100,9 @@ def weights(found: Mapping[str, Scores]) -> str:
     return table(["λ", *ids.ROBOTS, "all robots, the paper"], lines)
 
 
-def error_estimates(found: Sequence[Errors], agent: str) -> dict[str, Estimate]:
+def error_estimates(found: Sequence[Errors], agent: str) -> dict[str, MeanEstimate]:
     """Robot → the mean over runs of an agent's errors, each the mean over its test dynamics."""
-    return {one.robot: estimate(one.values.mean(axis=1).tolist()) for one in found if one.agent == agent}
+    return {one.robot: mean_estimate(one.values.mean(axis=1).tolist()) for one in found if one.agent == agent}
 
 
 def verdicts(found: Iterable[Claim]) -> str:
@@ -173,9 +173,9 @@ def held_out(runs: Sequence[Run]) -> str:
     lines = []
     for group in grouped(runs):
         ends = (group.ends(name) for name in ("validation_return", "validation_loss"))
-        means = [estimate(values) if values else None for values in ends]
+        means = [mean_estimate(values) if values else None for values in ends]
         whole = [sum(curve.values()) / len(curve) for curve in group.curves("validation_return")]
-        overall = estimate(whole) if whole else None
+        overall = mean_estimate(whole) if whole else None
         lines.append(
             [escape(group.label), group.robot, *(_estimate_text(one) for one in (means[0], overall, means[1]))]
         )
@@ -191,29 +191,29 @@ def learning(records: Sequence[Mapping[str, Any]]) -> str:
         groups.setdefault(key, []).append(record)
     lines = []
     for (agent, robot, steps, dynamics), own in groups.items():
-        means = [estimate([statistics.fmean(record[what]) for record in own]) for what in COMPARED]
+        means = [mean_estimate([statistics.fmean(record[what]) for record in own]) for what in COMPARED]
         runs = [f"{len(own)}", f"{steps:,}", f"{dynamics}"]
         lines.append([NAMES.get(agent, escape(agent)), robot, *runs, *(_estimate_text(one) for one in means)])
     return table(["agent", "robot", "runs", "gradient steps", "train dynamics", *COMPARED], lines)
 
 
-def mean_curves(runs: Sequence[Run], name: str) -> dict[str, dict[int, float]]:
+def mean_curves(runs: Sequence[Run], name: str) -> dict[str, dict[float, float]]:
     """Label of a group → steps → the mean over its runs of one of their curves."""
-    found = {}
+    found: dict[str, dict[float, float]] = {}
     for group in grouped(runs):
         if curves := group.curves(name):
             found[group.label] = {step: statistics.fmean(curve[step] for curve in curves) for step in curves[0]}
     return found
 
 
-def by_steps(curves: Mapping[str, Mapping[int, float]], form: str = ".1f", of: str = "steps") -> str:
+def by_steps(curves: Mapping[str, Mapping[float, float]], form: str = ".1f", of: str = "steps") -> str:
     """Curves, a line each, a column for each number `of` steps, or of something else, that one of them has."""
     steps = sorted({step for curve in curves.values() for step in curve})
     lines = [
         [escape(name), *(f"{curve[step]:{form}}" if step in curve else "–" for step in steps)]
         for name, curve in curves.items()
     ]
-    return table([of, *(f"{step:,}" for step in steps)], lines)
+    return table([of, *(f"{step:,.12g}" for step in steps)], lines)
 
 
 def compute(times: Mapping[str, float], published: str) -> str:
@@ -227,7 +227,7 @@ def _final_texts(found: Scores) -> list[str]:
     cells = []
     for robot in ids.ROBOTS:
         own = found[robot].mean(axis=1).tolist() if robot in found else []
-        cells.append(f"{final_text(estimate(own))} ({len(own)} run{'s' * (len(own) != 1)})" if own else "–")
+        cells.append(f"{final_text(mean_estimate(own))} ({len(own)} run{'s' * (len(own) != 1)})" if own else "–")
     return cells
 
 
@@ -237,7 +237,7 @@ def _published(score: Score | None, unknown: str = "–") -> str:
     return f"{score.mean:.2f} ± {score.std:.2f}"
 
 
-def _estimate_text(value: Estimate | None) -> str:
+def _estimate_text(value: MeanEstimate | None) -> str:
     return "–" if value is None else final_text(value)
 
 

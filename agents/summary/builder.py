@@ -17,7 +17,7 @@ import jinja2
 import markupsafe
 
 from agents.summary.charts import Point, Scale, band, curve_of, line, scale_of
-from agents.summary.intervals import Estimate, estimate
+from agents.summary.intervals import MeanEstimate, mean_estimate
 from agents.summary.runs import Group, Run, grouped, read_runs
 from dynagen_bench import ids
 from dynagen_bench.whole import whole_file
@@ -74,7 +74,7 @@ class Shown(NamedTuple):
     slug: str
     colour: int
     dashes: int
-    finals: dict[str, Estimate]
+    finals: dict[str, MeanEstimate]
     """Column → its last values over runs."""
     config: str
     """What the runs have in common, as JSON."""
@@ -135,7 +135,7 @@ def steps_text(steps: float) -> str:
     return f"{steps / 1e6:g}M" if steps >= 1e6 else f"{steps / 1e3:g}K" if steps >= 1e3 else f"{steps:g}"
 
 
-def final_text(value: Estimate) -> str:
+def final_text(value: MeanEstimate) -> str:
     """`mean ± std`, both to the third digit of the deviation."""
     if not value.std:
         return number_text(value.mean) + ("" if value.std is None else " ± 0")
@@ -143,7 +143,7 @@ def final_text(value: Estimate) -> str:
     return f"{value.mean:,.{digits}f} ± {value.std:,.{digits}f}".replace("-", "−")
 
 
-def interval_text(value: Estimate) -> str:
+def interval_text(value: MeanEstimate) -> str:
     """`[low, high]`, or nothing of a single run."""
     return "" if value.interval is None else f"[{', '.join(map(number_text, value.interval))}]"
 
@@ -184,7 +184,7 @@ def _shown(group: Group, slug: str, look: int) -> Shown:
     for metric in METRICS:
         last = group.ends(metric.column)
         if last:
-            finals[metric.column] = estimate(last)
+            finals[metric.column] = mean_estimate(last)
     about = group.runs[0].about
     common = {"agent": about["agent"], "config": about["config"], "data": about.get("data", {})}
     settings = {key: value for key, value in about["settings"].items() if key in group.runs[0].facts}

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from agents.summary.intervals import Estimate, estimate
+from agents.summary.intervals import MeanEstimate, mean_estimate
 
 POINTS: Final = 200
 """Of a longer curve, neighbours are averaged until it has no more points than this."""
@@ -23,7 +23,7 @@ class Point(NamedTuple):
     """A group's value at a step."""
 
     step: int
-    value: Estimate
+    value: MeanEstimate
 
 
 class Scale(NamedTuple):
@@ -64,7 +64,7 @@ def curve_of(curves: Sequence[Mapping[int, float]]) -> list[Point]:
     if len(steps) <= POINTS:
         parts = [[step] for step in steps]
     return [
-        Point(part[-1], estimate([math.fsum(curve[step] for step in part) / len(part) for curve in curves]))
+        Point(part[-1], mean_estimate([math.fsum(curve[step] for step in part) / len(part) for curve in curves]))
         for part in parts
     ]
 

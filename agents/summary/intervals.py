@@ -1,6 +1,6 @@
 """A mean and how sure it is: the t interval of the mean over a few runs.
 
-What is here: `Estimate` and `estimate`. Called by the builder. It must not know runs.
+What is here: `MeanEstimate` and `mean_estimate`. Called by the builder. It must not know runs.
 """
 
 import functools
@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 CONFIDENCE: Final = 0.95
 
 
-class Estimate(NamedTuple):
+class MeanEstimate(NamedTuple):
     """The mean of some runs."""
 
     mean: float
@@ -22,14 +22,14 @@ class Estimate(NamedTuple):
     """The ends of the 95 % t interval of the mean; None of a single run, which says nothing of how much runs differ."""
 
 
-def estimate(values: Sequence[float]) -> Estimate:
+def mean_estimate(values: Sequence[float]) -> MeanEstimate:
     """Mean ± t · s / √n, of n values (at least one)."""
     mean = math.fsum(values) / len(values)
     if len(values) == 1:
-        return Estimate(mean, None, None)
+        return MeanEstimate(mean, None, None)
     std = statistics.stdev(values, xbar=mean)
     half = t_quantile(len(values) - 1) * std / math.sqrt(len(values))
-    return Estimate(mean, std, (mean - half, mean + half))
+    return MeanEstimate(mean, std, (mean - half, mean + half))
 
 
 @functools.cache

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from agents.summary.__main__ import main
 from agents.summary.builder import final_text, number_text, steps_text, summary_page
 from agents.summary.charts import POINTS, Point, Scale, band, curve_of, line, scale_of
-from agents.summary.intervals import Estimate, estimate, t_quantile
+from agents.summary.intervals import MeanEstimate, mean_estimate, t_quantile
 from agents.summary.runs import grouped, read_runs
 from tests.browser import opened
 from tests.leaderboard.test_site import HOSTILE, outline
@@ -37,12 +37,12 @@ def test_quantiles_are_those_of_students_distribution(freedom):
 
 
 def test_an_interval_by_hand():
-    found = estimate([1.0, 2.0, 6.0])  # s² = (4 + 1 + 9) / 2 = 7, t of two degrees of freedom is 4.302653
+    found = mean_estimate([1.0, 2.0, 6.0])  # s² = (4 + 1 + 9) / 2 = 7, t of two degrees of freedom is 4.302653
     assert (found.mean, found.std) == (3.0, pytest.approx(7**0.5))
     half = 4.302653 * (7 / 3) ** 0.5
     assert found.interval == (pytest.approx(3 - half, rel=1e-6), pytest.approx(3 + half, rel=1e-6))
-    assert estimate([5.0]) == (5.0, None, None)
-    assert estimate([5.0, 5.0]).interval == (5.0, 5.0)
+    assert mean_estimate([5.0]) == (5.0, None, None)
+    assert mean_estimate([5.0, 5.0]).interval == (5.0, 5.0)
 
 
 def test_a_page_of_robots_on_which_an_agent_differs_in_other_facts(tmp_path):
@@ -105,22 +105,24 @@ def test_long_curves_are_averaged_over_neighbours():
 
 
 def test_places_and_scales_by_hand():
-    points = [Point(0, Estimate(1.0, 1.0, (0.0, 2.0))), Point(10, Estimate(2.0, 1.0, (1.0, 99.0)))]
+    points = [Point(0, MeanEstimate(1.0, 1.0, (0.0, 2.0))), Point(10, MeanEstimate(2.0, 1.0, (1.0, 99.0)))]
     x, y = Scale(0.0, 10.0), Scale(0.0, 4.0)
     assert line(points, x, y) == "0,75 100,50"
     assert band(points, x, y) == "0,50 100,0 100,75 0,100"
-    assert band([Point(0, Estimate(1.0, None, None))], x, y) is None
-    alone = [Point(10, Estimate(1.0, 1.0, (0.0, 2.0)))]
+    assert band([Point(0, MeanEstimate(1.0, None, None))], x, y) is None
+    alone = [Point(10, MeanEstimate(1.0, 1.0, (0.0, 2.0)))]
     assert line(alone, x, y) == "97,75 100,75"  # a dash: of one place nothing would be drawn
     assert band(alone, x, y) == "97,50 100,50 100,100 97,100"
     assert y.ticks == [0, 1, 2, 3, 4]
     high = scale_of([points], may_bend=True).high  # not at 99: that would flatten the line
     assert 2.5 < high < 2.7
-    bent = scale_of([[Point(0, Estimate(1000.0, None, None)), Point(1, Estimate(1.0, None, None))]], may_bend=True)
+    bent = scale_of(
+        [[Point(0, MeanEstimate(1000.0, None, None)), Point(1, MeanEstimate(1.0, None, None))]], may_bend=True
+    )
     assert bent.logarithmic
     assert bent.ticks == pytest.approx([1, 10, 100, 1000])
     assert bent.at(31.6227766) == pytest.approx(50, abs=0.01)
-    assert scale_of([[Point(0, Estimate(3.0, None, None))]], may_bend=True).at(3.0) == 50
+    assert scale_of([[Point(0, MeanEstimate(3.0, None, None))]], may_bend=True).at(3.0) == 50
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6))
@@ -133,8 +135,8 @@ def test_ticks_lie_on_their_scale(low, width):
 def test_numbers_are_written_for_reading():
     assert [number_text(x) for x in (0.0123456, -12.345, 123456.78, 0)] == ["0.01235", "−12.35", "123,456.8", "0"]
     assert [steps_text(x) for x in (500, 20_000, 1_500_000)] == ["500", "20K", "1.5M"]
-    assert final_text(estimate([1.0, 2.0, 6.0])) == "3.00 ± 2.65"
-    assert [final_text(estimate(x)) for x in ([4.0], [4.0, 4.0])] == ["4", "4 ± 0"]
+    assert final_text(mean_estimate([1.0, 2.0, 6.0])) == "3.00 ± 2.65"
+    assert [final_text(mean_estimate(x)) for x in ([4.0], [4.0, 4.0])] == ["4", "4 ± 0"]
 
 
 def test_the_page_has_results_intervals_commands_and_configs(tmp_path):

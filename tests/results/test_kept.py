@@ -9,6 +9,7 @@ import pytest
 
 from agents.run_folder import ADAPTATION_CURVE, TARGET_CURVE
 from results.kept import compute_times, held_out_curves, keep, keep_compute, kept_errors, kept_runs
+from results.tables import by_steps
 
 
 def test_a_kept_run_has_its_curves_and_no_weights_nor_paths(trained, tmp_path):
@@ -153,6 +154,15 @@ def test_curves_in_held_out_dynamics_by_run(curve, of, at, trained, tmp_path):
     (run / curve).write_text(f"{of},mean_return,train16,train17\n{at},300.5,300,301\n100,310,300,320\n")
     keep([run], "chosen", tmp_path / "kept")
     assert held_out_curves("chosen", curve, tmp_path / "kept") == {run.name: {0: 300.5, 100: 310.0}}
+
+
+def test_targets_that_lie_close_are_two_points(trained, tmp_path):
+    run = trained("dt", settings={"hold_out": 4})
+    (run / TARGET_CURVE).write_text("target_return,mean_return\n1.5,10\n1.75,20\n1000000.0,30\n")
+    keep([run], "chosen", tmp_path / "kept")
+    curves = held_out_curves("chosen", TARGET_CURVE, tmp_path / "kept")
+    assert curves == {run.name: {1.5: 10.0, 1.75: 20.0, 1e6: 30.0}}
+    assert by_steps(curves, of="asked for").splitlines()[0] == "| asked for | 1.5 | 1.75 | 1,000,000 |"
 
 
 def test_times_of_the_compute_benchmark(tmp_path):

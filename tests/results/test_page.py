@@ -8,7 +8,7 @@ import pytest
 
 import results.__main__ as command
 from agents import AGENTS
-from agents.summary.intervals import Estimate
+from agents.summary.intervals import MeanEstimate
 from agents.summary.runs import read_runs
 from leaderboard.board import submit
 from results.figures import error_bars, learning_curves
@@ -188,14 +188,17 @@ def test_an_agent_has_one_colour_on_every_drawing():
 def test_what_has_to_be_beaten_is_a_line():
     # from 0.1 / 1.5 to 10 · 1.5 there are 2.352 powers of ten, 1 lies in their middle
     drawing = error_bars(
-        "Hopper", {"lstm": Estimate(0.1, None, None), "dt": Estimate(10.0, None, None)}, unchanged=1.0
+        "Hopper", {"lstm": MeanEstimate(0.1, None, None), "dt": MeanEstimate(10.0, None, None)}, unchanged=1.0
     ).svg
     assert f'd="M0 120H{560}"' in drawing
     assert "no change, 1" in drawing
 
 
 def test_names_are_escaped():
-    robot, errors = 'A "<b>" & B', {"<b>": Estimate(0.1, None, None), "lstm": Estimate(0.01, 0.001, (0.005, 0.015))}
+    robot, errors = (
+        'A "<b>" & B',
+        {"<b>": MeanEstimate(0.1, None, None), "lstm": MeanEstimate(0.01, 0.001, (0.005, 0.015))},
+    )
     for drawing in (error_bars(robot, errors), learning_curves(robot, {"<b>": [{0: 0.0, 100: 50.0}]})):
         assert drawing.title.startswith(f"{robot}: ")
         assert "<b>" not in drawing.svg
