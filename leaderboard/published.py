@@ -8,6 +8,7 @@ comparable in value with an entry's.
 from typing import Final, NamedTuple
 
 from dynagen_bench import ids
+from leaderboard.statistics import near_best
 
 
 class Score(NamedTuple):
@@ -48,14 +49,12 @@ def _row(agent: str, source: str, *scores: tuple[float, float] | None) -> Publis
 
 def _table(number: int, title: str, *rows: PublishedRow) -> PublishedTable:
     """The rows with what is bold marked; each column has its own best."""
+    columns = zip(*(row.cells for row in rows), strict=True)
+    lines = [near_best((cell.mean, cell.std) for cell in column if cell) for column in columns]
     marked = []
     for row in rows:
-        cells = []
-        for place, cell in enumerate(row.cells):
-            best = max((other.cells[place] for other in rows), key=lambda score: score.mean if score else -1.0)
-            line = best.mean - best.std if best else 0.0
-            cells.append(cell and cell._replace(bold=cell.mean >= line))
-        marked.append(row._replace(cells=tuple(cells)))
+        pairs = zip(row.cells, lines, strict=True)
+        marked.append(row._replace(cells=tuple(cell and cell._replace(bold=cell.mean >= line) for cell, line in pairs)))
     return PublishedTable(number, title, tuple(marked))
 
 

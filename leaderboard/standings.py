@@ -1,7 +1,7 @@
 """From entries to ranked tables of scores, before anything is said about how they look.
 
-What is here: `standings`, one table a track and checkpoint. Called by the Markdown page and the terminal's table. It
-must not know files.
+What is here: `standings`, one table a track and checkpoint, and the scores in it. Called by the Markdown page, the
+site, the terminal's tables, `board`, `export` and the reference results. It must not know files.
 """
 
 import math
@@ -17,7 +17,7 @@ from dynagen_bench.datasets.scores import normalized_score
 from dynagen_bench.evaluation import data_returns
 from dynagen_bench.evaluation.submission import Submission
 from leaderboard.entries import Entry
-from leaderboard.statistics import Estimate, Rank, Scores, interquartile_mean, ranks
+from leaderboard.statistics import Estimate, Rank, Scores, interquartile_mean, near_best, ranks
 
 RUNS: Final = 5
 """Runs of a full entry on each robot (paper, section 5.1)."""
@@ -182,11 +182,8 @@ def _cells(submission: Submission) -> tuple[dict[str, Cell], Cell | None]:
 
 
 def _marked(column: dict[str, Cell]) -> dict[str, Cell]:
-    """Slug → cell of one robot, those within one standard deviation of the best in bold."""
-    if not column:
-        return {}
-    best = max(column.values(), key=lambda cell: cell.mean)
-    line = best.mean - (best.std or 0.0)
+    """Slug → cell of one robot, those near the best in bold."""
+    line = near_best((cell.mean, cell.std) for cell in column.values())
     return {slug: cell._replace(bold=cell.mean >= line) for slug, cell in column.items()}
 
 

@@ -1,8 +1,8 @@
 """What the scores of a few runs say, and how sure that is: aggregates with intervals, and ranks that share.
 
 What is here: interquartile mean, optimality gap, probability of improvement and performance profile, each with a
-bootstrap interval, `ranks`, and the bootstrap's `draws`. Called by `standings`, the site and the reference results. It
-must not know entries, files or how numbers look.
+bootstrap interval, `ranks`, `near_best`, and the bootstrap's `draws`. Called by `standings`, `comparison`, `published`,
+the site and the reference results. It must not know entries, files or how numbers look.
 
 The measures are those of Agarwal et al., *Deep Reinforcement Learning at the Edge of the Statistical Precipice* (2021).
 A score is a number of one run in one dynamics. `Scores` holds them by robot, as (R, M) float64 arrays: R runs, M test
@@ -17,6 +17,7 @@ release, with a fixed seed; and sums are either of whole numbers or in a fixed o
 """
 
 import functools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
@@ -154,6 +155,19 @@ def ranks(intervals: Sequence[tuple[float, float] | None]) -> list[Rank | None]:
         below = sum(high < interval[0] for _, high in ranked)
         found.append(Rank(1 + above, len(ranked) - below))
     return found
+
+
+def near_best(column: Iterable[tuple[float, float | None]]) -> float:
+    """The least mean of a column that is near its best: within one standard deviation, the best one's own.
+
+    It is the paper's rule of what is bold.
+
+    Args:
+        column: (mean, standard deviation) of each; the latter None of a single run, near which nothing else is. Of an
+            empty column it is infinity.
+    """
+    mean, std = max(column, key=lambda one: one[0], default=(math.inf, None))
+    return mean - (std or 0.0)
 
 
 def _checked(scores: Scores) -> Scores:

@@ -14,6 +14,7 @@ from leaderboard.statistics import (
     Rank,
     improvement,
     interquartile_mean,
+    near_best,
     optimality_gap,
     profile,
     ranks,
@@ -185,3 +186,9 @@ def test_overlapping_intervals_share_ranks_and_others_keep_their_order(intervals
             assert first.worst < second.worst
         elif two[0] <= one[1] and one[0] <= two[1]:
             assert min(first.worst, second.worst) - max(first.best, second.best) >= 1
+
+
+def test_what_is_near_the_best_by_hand():
+    assert near_best([(50.0, 9.0), (60.0, 4.0), (57.0, None)]) == 56.0
+    assert near_best([(50.0, 9.0), (60.0, None)]) == 60.0  # of a single run nothing is known but itself
+    assert near_best([]) == float("inf")
