@@ -1,7 +1,7 @@
 """Changing a board: an entry in and the pages made anew, both or neither.
 
-What is here: `submit`, `rerun`, `build`, `is_current`, `verify_entries` and `entry_of`. Called by the command line and
-the demo. It must not know how tables look.
+What is here: `submit`, `rerun`, `build`, `is_current`, `verify_entries` and `entry_of`. Called by the command line. It
+must not know how tables look.
 """
 
 import contextlib

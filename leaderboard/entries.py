@@ -1,7 +1,7 @@
 """The entries of a board: submissions that passed every check, one folder each.
 
-What is here: what the board accepts, and reading and storing entries. Called by `board`. It must not know tables, nor
-how a submission is verified.
+What is here: what the board accepts, and reading and storing entries. Called by everything of the leaderboard, and by
+the reference results. It must not know tables, nor how a submission is verified.
 
     board/
       LEADERBOARD.md              made from the entries

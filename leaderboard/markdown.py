@@ -1,6 +1,7 @@
 """The board as a Markdown page.
 
-What is here: `page`, and the escaping of every text that came with an entry. Called by `board`. It must not compute
+What is here: `page`, the escaping of every text that came with an entry, and how a number is written. Called by
+`board`; by the site, the terminal's tables, `export` and the reference results for the texts. It must not compute
 scores.
 """
 

@@ -1,6 +1,7 @@
 """The geometry of the page's charts: steps and values → places in a drawing of 100 × 100, whatever its size.
 
-What is here: scales, and the line and band of a group. Called by the builder. It must not know runs or HTML.
+What is here: scales, and the line and band of a group. Called by the builder and the reference results. It must not
+know runs or HTML.
 """
 
 import math

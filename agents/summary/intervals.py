@@ -1,6 +1,7 @@
 """A mean and how sure it is: the t interval of the mean over a few runs.
 
-What is here: `MeanEstimate` and `mean_estimate`. Called by the builder. It must not know runs.
+What is here: `MeanEstimate` and `mean_estimate`. Called by the builder, the charts and the reference results. It must
+not know runs.
 """
 
 import functools

@@ -1,6 +1,7 @@
 """Run folders as the page needs them: read, and in groups that differ in their seed alone.
 
-What is here: `Run`, `Group`, `read_runs` and `grouped`. Called by the builder. It must not know how anything looks.
+What is here: `Run`, `Group`, `read_runs` and `grouped`. Called by the builder and the reference results. It must not
+know how anything looks.
 """
 
 import collections
