@@ -1,29 +1,21 @@
 """What the page shows, and the page.
 
-What is here: `write_summary`. Called by the command lines of `summary` and `sweep`. It must not know how runs are made,
-nor how the page looks.
+What is here: `write_summary`, and how a number is written. Called by the command lines of `summary` and `sweep`, and by
+the reference results for the numbers. It must not know how runs are made, nor how the page looks.
 """
 
-import base64
-import hashlib
-import importlib.resources
 import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import jinja2
-import markupsafe
-
 from agents.summary.charts import Point, Scale, band, curve_of, line, scale_of
 from agents.summary.intervals import MeanEstimate, mean_estimate
 from agents.summary.runs import Group, Run, grouped, read_runs
 from dynagen_bench import ids
+from dynagen_bench.html import look, render, style_and_script
 from dynagen_bench.whole import whole_file
-
-COLOURS: Final = 8
-"""After so many groups the colours come again, dashed."""
 
 
 class Metric(NamedTuple):
@@ -72,8 +64,7 @@ class Shown(NamedTuple):
 
     group: Group
     slug: str
-    colour: int
-    dashes: int
+    look: str
     finals: dict[str, MeanEstimate]
     """Column → its last values over runs."""
     config: str
@@ -104,23 +95,20 @@ def write_summary(runs: Path, output: Path) -> Path:
 
 def summary_page(runs: Sequence[Run]) -> str:
     """The whole page as HTML."""
-    script, style = (_text(name) for name in ("page.js", "page.css"))
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {"number": number_text, "steps": steps_text, "final": final_text}
     sections = _sections(grouped(runs))
-    return environment.from_string(_text("page.html.jinja")).render(
+    facts = [
+        ("runs", len(runs)),
+        ("groups", sum(len(section.shown) for section in sections)),
+        ("robots", len(sections)),
+        ("hours of training", number_text(sum(run.hours for run in runs))),
+    ]
+    return render(
+        __package__,
+        "page.html.jinja",
+        {"number": number_text, "steps": steps_text, "final": final_text},
         sections=sections,
-        facts=[
-            ("runs", len(runs)),
-            ("groups", sum(len(section.shown) for section in sections)),
-            ("robots", len(sections)),
-            ("hours of training", number_text(sum(run.hours for run in runs))),
-        ],
-        script=markupsafe.Markup(script),  # the project's own, as the hash in the page's policy says
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        style=markupsafe.Markup(style),
+        facts=facts,
+        **style_and_script(__package__),
     )
 
 
@@ -146,10 +134,6 @@ def final_text(value: MeanEstimate) -> str:
 def interval_text(value: MeanEstimate) -> str:
     """`[low, high]`, or nothing of a single run."""
     return "" if value.interval is None else f"[{', '.join(map(number_text, value.interval))}]"
-
-
-def _text(name: str) -> str:
-    return (importlib.resources.files(__package__) / name).read_text(encoding="utf-8")
 
 
 def _sections(groups: Sequence[Group]) -> list[Section]:
@@ -179,7 +163,7 @@ def _section(robot: str, shown: list[Shown]) -> Section:
     return Section(robot, x, panels, shown, results)
 
 
-def _shown(group: Group, slug: str, look: int) -> Shown:
+def _shown(group: Group, slug: str, place: int) -> Shown:
     finals = {}
     for metric in METRICS:
         last = group.ends(metric.column)
@@ -189,7 +173,7 @@ def _shown(group: Group, slug: str, look: int) -> Shown:
     common = {"agent": about["agent"], "config": about["config"], "data": about.get("data", {})}
     settings = {key: value for key, value in about["settings"].items() if key in group.runs[0].facts}
     config = json.dumps(common | {"settings": settings}, indent=1, ensure_ascii=False)
-    return Shown(group, slug, look % COLOURS, look // COLOURS % 3, finals, config)
+    return Shown(group, slug, look(place), finals, config)
 
 
 def _drawn(one: Shown, curve: Sequence[Point], x: Scale, y: Scale) -> Drawn:

@@ -1,7 +1,4 @@
 // Reading values off the curves. Without it the page shows those of the last step.
-"use strict";
-const all = (selector, root = document) => [...root.querySelectorAll(selector)];
-document.body.classList.add("js");
 
 // The values of every chart of a robot at a place, 0 (first step) to 100 (last): each line's nearest point.
 function read(section, place) {
@@ -41,11 +38,4 @@ for (const section of all(".robot")) {
   read(section, 100);
 }
 
-// A group opens when something leads to it, and all do on paper.
-function open() {
-  const part = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
-  if (part && part.tagName === "DETAILS") { part.open = true; part.scrollIntoView(); }
-}
-addEventListener("hashchange", open);
-addEventListener("beforeprint", () => { for (const part of all("details")) part.open = true; });
 open();

@@ -5,18 +5,17 @@ know how a frame is drawn or a histogram made; how the page looks is in `gallery
 """
 
 import base64
-import importlib.resources
 import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import gymnasium
-import jinja2
 from PIL import Image
 
 from dynagen_bench import ids
 from dynagen_bench.collection.policies import POLICY_FOLDER
+from dynagen_bench.html import render
 from dynagen_bench.pictures.backend import choose_backend
 from dynagen_bench.pictures.factors import Group, factor_groups, legend
 from dynagen_bench.pictures.returns import BINS, HEIGHT, Distributions, distributions, load_returns
@@ -79,13 +78,8 @@ def write_gallery(
         Section(robot, _facts(robot), factor_groups(robot), strips[robot], frames[robot], returns[robot])
         for robot in robots
     ]
-    source = importlib.resources.files(__package__) / "gallery.html.jinja"
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    page = environment.from_string(source.read_text(encoding="utf-8")).render(
-        sections=sections, legend=legend(), bins=BINS, height=HEIGHT, size=size, splits=ids.SPLIT_SIZES
-    )
+    shown = {"legend": legend(), "bins": BINS, "height": HEIGHT, "size": size, "splits": ids.SPLIT_SIZES}
+    page = render(__package__, "gallery.html.jinja", {}, sections=sections, **shown)
     with whole_file(output) as unfinished:
         unfinished.write_text(page, encoding="utf-8")
 

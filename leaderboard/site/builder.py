@@ -3,14 +3,9 @@
 What is here: `site_page`. Called by the board. It must not know files, nor how the page looks.
 """
 
-import base64
-import hashlib
-import importlib.resources
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-import jinja2
-import markupsafe
 import rich.console
 import rich.progress
 
@@ -18,6 +13,7 @@ from dynagen_bench import ids
 from dynagen_bench.datasets.scores import score_range
 from dynagen_bench.envs import HORIZON
 from dynagen_bench.evaluation import EPISODES
+from dynagen_bench.html import look, render, style_and_script
 from leaderboard.entries import LABELS, Entry
 from leaderboard.markdown import number_text, rank_text
 from leaderboard.published import PUBLISHED
@@ -52,9 +48,6 @@ KNOWLEDGE: Final = {
 }
 """What `privileged` means, after the word “knows”."""
 
-COLOURS: Final = 8
-"""After so many entries of a table the colours come again, dashed."""
-
 
 class Figure(NamedTuple):
     """An entry's scores in one column, a robot or all of them, as the table and the charts show them."""
@@ -82,8 +75,7 @@ class Competitor(NamedTuple):
     """One entry of a table."""
 
     row: Row
-    colour: int
-    dashes: int
+    look: str
     figures: dict[str, Figure]
     """Column → what is shown there."""
     heats: list[Heat]
@@ -115,13 +107,11 @@ def site_page(entries: Sequence[Entry]) -> str:
     tables = standings(entries)
     scale = _scale(tables)
     sections = [_section(table, scale) for table in tables]
-    script, style = (_text(name) for name in ("page.js", "page.css"))
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {"score": score_text, "short": short_text, "rank": rank_text}
     data = data_scores()
-    return environment.from_string(_text("index.html.jinja")).render(
+    return render(
+        __package__,
+        "index.html.jinja",
+        {"score": score_text, "short": short_text, "rank": rank_text},
         sections=sections,
         labels=[label for label in LABELS if any(entry.label == label for entry in entries)],
         robots=[robot for robot in ids.ROBOTS if any(robot in section.columns for section in sections)],
@@ -131,15 +121,13 @@ def site_page(entries: Sequence[Entry]) -> str:
         scale=scale,
         published=PUBLISHED,
         published_robots=PAPER_ROBOTS,
-        script=markupsafe.Markup(script),  # the project's own, as the hash in the page's policy says
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        style=markupsafe.Markup(style),
         levels=HEAT_LEVELS,
         constants={"runs": RUNS, "episodes": EPISODES, "horizon": HORIZON, "resamples": f"{RESAMPLES:,}"},
         every_robot=ids.ROBOTS,
         all=ALL,
         knowledge=KNOWLEDGE,
         splits=ids.SPLIT_SIZES,
+        **style_and_script(__package__),
     )
 
 
@@ -151,10 +139,6 @@ def score_text(value: float) -> str:
 def short_text(value: float) -> str:
     """A score with one decimal and a true minus sign."""
     return f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
-
-
-def _text(name: str) -> str:
-    return (importlib.resources.files(__package__) / name).read_text(encoding="utf-8")
 
 
 def _facts(entries: Sequence[Entry]) -> list[tuple[str, str]]:
@@ -186,7 +170,7 @@ def _section(table: Table, scale: Scale) -> Section:
         CHECKPOINTS[table.checkpoint],
         columns,
         [
-            Competitor(row, place % COLOURS, place // COLOURS % 3, _figures(row, own, scale), _heats(row.entry, scale))
+            Competitor(row, look(place), _figures(row, own, scale), _heats(row.entry, scale))
             for place, (row, own) in enumerate(zip(table.rows, scores, strict=True))
         ],
         _improvements(scores),

@@ -1,9 +1,6 @@
 // Sorting, filtering and pointing. Without it the page shows everything, as means, in the order of the board.
-"use strict";
-const all = (selector, root = document) => [...root.querySelectorAll(selector)];
 const main = document.querySelector("main"), ALL = "All robots";
 const chosen = id => { const input = document.getElementById(id); return input ? input.value : ""; };
-document.body.classList.add("js");
 
 // What is shown: tables of the track, columns and charts of the robot, entries by label and text.
 function filter() {
@@ -130,13 +127,6 @@ for (const charts of all(".charts")) {
 for (const id of ["track", "label", "find"]) document.getElementById(id)?.addEventListener("input", filter);
 for (const id of ["robot", "measure"]) document.getElementById(id)?.addEventListener("input", () => { filter(); sortByRobot(); });
 
-// An entry opens when something leads to it, and all do on paper.
-function open() {
-  const part = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
-  if (part && part.tagName === "DETAILS") { part.hidden = false; part.open = true; part.scrollIntoView(); }
-}
-addEventListener("hashchange", open);
-addEventListener("beforeprint", () => { for (const part of all("details")) part.open = true; });
 filter();
 sortByRobot();
 open();
