@@ -6,6 +6,7 @@ What is here: `show_tables` and `show_comparison`. Called by the command line. I
 import statistics
 from collections.abc import Mapping, Sequence
 
+import rich.box
 import rich.table
 from rich.text import Text
 
@@ -14,21 +15,25 @@ from dynagen_bench.terminal import print_table
 from leaderboard.comparison import FEWEST, compared
 from leaderboard.entries import Entry
 from leaderboard.markdown import iqm_text, number_text, rank_text, score_text
-from leaderboard.standings import CHECKPOINTS, TRACKS, Cell, Row, Table, data_scores, standings, task_scores
+from leaderboard.standings import CHECKPOINTS, TRACKS, Cell, Table, data_scores, standings, task_scores
 from leaderboard.statistics import Estimate
 
 
 def show_tables(entries: Sequence[Entry]) -> None:
     """Print one table a track and checkpoint, of the robots that somebody has a score on."""
-    tables = standings(entries)
-    if not tables:
-        print("There are no entries yet.")
-    for table in tables:
+    grids = []
+    for table in standings(entries):
         robots = [robot for robot in ids.ROBOTS if any(robot in row.cells for row in table.rows)]
-        print_table(_means(table, robots))
+        grids.append(_means(table, robots))
         # the last of several has the rank of their number, and one alone has nobody to be ranked with
         if any(cell.rank and cell.rank.worst > 1 for row in table.rows for cell in row.cells.values()):
-            print_table(_ranks(table, robots))
+            grids.append(_ranks(table, robots))
+    if not grids:
+        print("There are no entries yet.")
+    for number, grid in enumerate(grids):
+        if number:
+            print()
+        print_table(grid)
 
 
 def show_comparison(entries: Mapping[str, Entry]) -> None:
@@ -47,18 +52,19 @@ def show_comparison(entries: Mapping[str, Entry]) -> None:
         raise ValueError(
             f"{first} has runs on {', '.join(scores)} and {second} on {', '.join(others)}: on no robot both"
         )
+    # names are paths, which a column of a narrow terminal would break into pieces
+    print(f"first:  {first}\nsecond: {second}\n")
     rows = [standings([entry])[0].rows[0] for entry in (one, other)]
-    grid = rich.table.Table(title=Text(f"How likely is a run of {first} better than one of {second}?"))
-    for column in ("Robot", Text(first), Text(second), "Probability [95 % interval]", "Better"):
-        grid.add_column(column, justify="right" if column != "Robot" else "left", overflow="fold")
-    better = {"holds": first, "does not hold": second}
+    heads = ("First", "Second", "Probability\n[95 % interval]", "Better")
+    grid = _grid("How likely is a run of the first better than one of the second?", "Robot", *heads)
+    better = {"holds": "first", "does not hold": "second"}
     for robot in whole.robots:
         alone = compared(robot, {robot: scores[robot]}, others)
-        cells = [Text(score_text(row.cells[robot])) for row in rows]
-        grid.add_row(robot, *cells, _probability(alone.estimate), Text(better.get(alone.verdict, alone.verdict)))
+        cells = [_stacked(score_text(row.cells[robot]), " (") for row in rows]
+        grid.add_row(robot, *cells, _probability(alone.estimate), better.get(alone.verdict, alone.verdict))
     grid.add_section()
     means = [number_text(statistics.fmean(row.cells[robot].mean for robot in whole.robots)) for row in rows]
-    grid.add_row("all of these", *means, _probability(whole.estimate), Text(better.get(whole.verdict, whole.verdict)))
+    grid.add_row("all of these", *means, _probability(whole.estimate), better.get(whole.verdict, whole.verdict))
     print_table(grid)
     unsure = [name for name, entry in entries.items() if not entry.replayed]
     if unsure:
@@ -75,48 +81,56 @@ def _probability(estimate: Estimate | None) -> str:
 
 
 def _means(table: Table, robots: Sequence[str]) -> rich.table.Table:
-    """Mean ± standard deviation, with the behaviour data's own score below."""
-    grid = _grid(f"{TRACKS[table.track]}, {CHECKPOINTS[table.checkpoint]}", [*robots])
-    grid.add_column("Label", overflow="fold")
+    """Mean and standard deviation, with the behaviour data's own score below."""
+    grid = _grid(f"{TRACKS[table.track]}, {CHECKPOINTS[table.checkpoint]}", "Agent", *robots)
     for row in table.rows:
-        grid.add_row(*_cells(row, robots), end_section=row is table.rows[-1])
+        note = f"partial, {row.entry.label}" if row.partial else row.entry.label
+        cells = [_score(row.cells.get(robot)) for robot in robots]
+        grid.add_row(_agent(row.entry.submission.agent, note), *cells, end_section=row is table.rows[-1])
     data = data_scores()
     scores = [number_text(data[robot]) if robot in data else "–" for robot in robots]
-    grid.add_row("behaviour data", *scores, "reference", style="dim")
+    grid.add_row(_agent("behaviour data", "reference"), *scores)
     return grid
 
 
 def _ranks(table: Table, robots: Sequence[str]) -> rich.table.Table:
-    """Interquartile mean and interval, with the rank below; over all robots too, where somebody has all."""
-    whole = any(row.overall is not None for row in table.rows)
-    grid = _grid("Interquartile mean [95 % interval], rank", [*robots, *(["All robots"] if whole else [])])
-    for row in table.rows:
-        cells = [*(row.cells.get(robot) for robot in robots), *([row.overall] if whole else [])]
-        grid.add_row(Text(row.entry.submission.agent), *(Text(_rank_cell(cell)) for cell in cells))
+    """Interquartile mean, interval and rank, robot by robot; over all robots too, where somebody has all."""
+    grid = _grid("Interquartile means and ranks", "Robot", "Agent", "Mean", "95 % interval", "Rank")
+    grid.columns[1].justify = "left"
+    columns = {robot: [(row, row.cells.get(robot)) for row in table.rows] for robot in robots}
+    columns["All robots"] = [(row, row.overall) for row in table.rows]
+    for column, cells in columns.items():
+        known = [(row, cell) for row, cell in cells if cell is not None and cell.iqm.interval is not None]
+        grid.add_section()
+        for place, (row, cell) in enumerate(sorted(known, key=lambda one: -one[1].iqm.value)):
+            mean, interval = iqm_text(cell).split(" ", 1)
+            name = Text(row.entry.submission.agent)
+            grid.add_row("" if place else column, name, mean, interval, rank_text(cell.rank))
     return grid
 
 
-def _rank_cell(cell: Cell | None) -> str:
-    """Two short lines, so that six columns fit a terminal: `74.69, rank 1–2` and `[70.10, 78.02]`."""
-    if cell is None or cell.iqm.interval is None:
-        return "–"
-    value, interval = iqm_text(cell).split(" ", 1)
-    return f"{value}, rank {rank_text(cell.rank)}\n{interval}" if cell.rank else f"{value}\n{interval}"
-
-
-def _grid(title: str, columns: Sequence[str]) -> rich.table.Table:
-    grid = rich.table.Table(title=title)
-    grid.add_column("Agent", overflow="fold")  # a narrow terminal breaks words, and cuts none
+def _grid(title: str, first: str, *columns: str) -> rich.table.Table:
+    """An empty table, without lines between its columns: so an agent and five robots fit a terminal of 80."""
+    box = rich.box.SIMPLE_HEAD
+    grid = rich.table.Table(title=title, box=box, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    grid.add_column(first, overflow="fold")  # a narrow terminal breaks words, and cuts none
     for column in columns:
         grid.add_column(column, justify="right", overflow="fold")
     return grid
 
 
-def _cells(row: Row, robots: Sequence[str]) -> list[Text]:
-    # Text objects, because a plain string would be read for rich's own markup
-    agent = Text(row.entry.submission.agent + (" (partial)" if row.partial else ""))
-    cells = []
-    for robot in robots:
-        cell = row.cells.get(robot)
-        cells.append(Text(score_text(cell), style="bold" if cell is not None and cell.bold else ""))
-    return [agent, *cells, Text(row.entry.label)]
+def _agent(name: str, note: str) -> Text:
+    # Text, because a plain string would be read for rich's own markup
+    return Text.assemble(name, "\n", (note, "dim"))
+
+
+def _score(cell: Cell | None) -> Text:
+    """Short lines, one under the other: `74.69`, `± 4.22` and, where it is not the full number, `(3 runs)`."""
+    return _stacked(score_text(cell), " ±", " (", style="bold" if cell is not None and cell.bold else "")
+
+
+def _stacked(text: str, *starts: str, style: str = "") -> Text:
+    """A text with an end of the line in place of the space that each of its parts starts with."""
+    for start in starts:
+        text = text.replace(start, f"\n{start.strip()}")
+    return Text(text, style=style)

@@ -1,5 +1,8 @@
 """Comparing two entries, or a submission with an entry: by hand, and at the command line."""
 
+import re
+import sys
+
 import numpy as np
 import pytest
 
@@ -53,15 +56,28 @@ def test_a_submission_is_compared_with_an_entry(two, board, capsys):
     folder, slug = two
     assert main(["compare", str(folder), slug, "--board", str(board)]) == 0
     shown = capsys.readouterr().out
-    (hopper,) = (line for line in shown.splitlines() if "Hopper" in line)
-    cells = [cell.strip() for cell in hopper.strip("│").split("│")]
-    assert cells == ["Hopper", "55.00 ± 5.00 (3 runs)", "35.00 ± 5.00 (3 runs)", "1.00 [1.00, 1.00]", str(folder)]
+    assert shown.startswith(f"first:  {folder}\nsecond: {slug}\n")
+    lines = [re.split(r" {2,}", line.strip()) for line in shown.splitlines()]
+    place = lines.index(["Hopper", "55.00 ± 5.00", "35.00 ± 5.00", "1.00 [1.00, 1.00]", "first"])
+    assert lines[place + 1] == ["(3 runs)", "(3 runs)"]
     assert "Ant" not in shown
     assert f"Nobody has replayed {folder} and {slug}" in shown
     assert main(["compare", slug, str(folder), "--board", str(board)]) == 0
     (hopper,) = (line for line in capsys.readouterr().out.splitlines() if "Hopper" in line)
-    assert "0.00 [0.00, 0.00]" in hopper
-    assert [str(folder)] == [cell.strip() for cell in hopper.strip("│").split("│")][4:]
+    assert re.search(r" 0\.00 \[0\.00, 0\.00\] +second$", hopper)
+
+
+def test_a_narrow_terminal_breaks_no_name_and_no_number(two, board, tmp_path, monkeypatch, capsys):
+    folder = tmp_path / ("a-long-name-of-a-folder-" * 4)
+    write_submission(folder, submission({"Hopper": [100.0, 300.0, 320.0]}, agent="Mine"))
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "dumb")  # 80 columns, no colours
+    assert main(["compare", str(folder), two[1], "--board", str(board)]) == 0
+    names, shown = capsys.readouterr().out.split("\n\n", 1)
+    assert names == f"first:  {folder}\nsecond: {two[1]}"
+    table, _ = shown.split("\nNobody has replayed")
+    assert max(map(len, table.splitlines())) <= 80
+    assert re.search(r"^Hopper +120\.00 ± 60\.83 +35\.00 ± 5\.00 +1\.00 \[1\.00, 1\.00\] +first$", table, re.M)
 
 
 def test_what_is_compared_has_been_replayed(honest, cheat, board):
@@ -103,4 +119,4 @@ def test_few_runs_are_told_of(two, board, tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "Nothing is decided by fewer than 3 runs of each" in shown
     (hopper,) = (line for line in shown.splitlines() if "Hopper" in line)
-    assert [cell.strip() for cell in hopper.strip("│").split("│")][3:] == ["1.00", "undecided"]
+    assert hopper.split()[-2:] == ["1.00", "undecided"]

@@ -1,6 +1,8 @@
 """Means, deviations, marks and order of the tables, by hand."""
 
 import math
+import re
+import sys
 
 import pytest
 
@@ -47,9 +49,29 @@ def test_the_terminal_ranks_who_has_somebody_to_be_ranked_with(capsys):
     one, single, other = (
         entry(slug, {"Hopper": runs}) for slug, runs in (("a", [9.0, 8.0]), ("b", [9.0]), ("c", [7.0, 5.0]))
     )
-    for entries, tables in (([one], 1), ([one, single], 1), ([one, single, other], 2)):
+    for entries, ranked in (([one], False), ([one, single], False), ([one, single, other], True)):
         show_tables(entries)
-        assert capsys.readouterr().out.count("┏") == tables
+        shown = capsys.readouterr().out
+        assert ("Interquartile means and ranks" in shown) == ranked
+    lines = [line.split() for line in shown.splitlines()]
+    assert lines[-2][0] == "Hopper"
+    assert [line[-1] for line in lines[-2:]] == ["1", "2"]  # the better one first, whoever has a single run not at all
+
+
+def test_the_ranks_of_every_robot_fit_a_narrow_terminal(references, monkeypatch, capsys):
+    write_references(references)
+    names = {"trajectory_transformer": [100.0, 120.0], "random": [-220.0, -200.0]}
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "dumb")  # 80 columns, no colours
+    show_tables([entry(name, dict.fromkeys(ids.ROBOTS, runs), agent=name) for name, runs in names.items()])
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 80
+    for robot in (*ids.ROBOTS, "All robots"):
+        first, second = (
+            r"trajectory_transformer +55\.00 +\[50\.00, 60\.00\] +1",
+            r"random +-105\.00 +\[-110\.00, -100\.00\] +2",
+        )
+        assert re.search(rf"^{robot} +{first}\n +{second}$", shown, re.M)
 
 
 def test_interquartile_means_and_ranks_by_hand(references):
