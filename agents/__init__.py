@@ -6,6 +6,8 @@ One file or folder tells one paper; `train` is the one loop. Letters for shapes,
     S state size    A action size    N parallel environments    M members, or dynamics
 """
 
+import difflib
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,7 +27,7 @@ from agents.transformer_bc import TransformerBC, TransformerBCConfig
 if TYPE_CHECKING:
     from agents.interface import Agent
 
-__all__ = ["AGENTS", "PREDICTORS", "TRAINABLE", "load"]
+__all__ = ["AGENTS", "PREDICTORS", "TRAINABLE", "check_agent", "load"]
 
 AGENTS: Final[dict[str, tuple[type[TrainingConfig], Any]]] = {
     "dadt": (DADTConfig, DADT),
@@ -48,6 +50,14 @@ PREDICTORS: Final[dict[str, tuple[type[TrainingConfig], Any]]] = {
 
 TRAINABLE: Final = AGENTS | PREDICTORS
 """All that `train` trains and a checkpoint may be of."""
+
+
+def check_agent(name: str, among: Collection[str]) -> None:
+    """Raise ValueError, with what was perhaps meant, if `name` is none of those that are known."""
+    if name not in among:
+        near = difflib.get_close_matches(name.lower(), among, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"no agent {name!r}{hint} Choose one of {', '.join(among)}")
 
 
 def load(name: str | Path, robot: str | None = None) -> "Agent":

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import rich
 import rich.table
 import torch
 import tyro
 
+from agents import AGENTS
 from agents.fine_tuning import (
     CURVE,
     AdaptationSettings,
@@ -30,7 +30,7 @@ from agents.fine_tuning import (
     write_curve,
 )
 from agents.recording import progress_bar, read_result, write_result
-from agents.run_folder import ADAPTATION_CURVE, commit_of_all, git_commit, made_of, read_json, write_json
+from agents.run_folder import ADAPTATION_CURVE, commit_of_all, git_commit, made_of, read_finished, read_json, write_json
 from agents.threads import use_threads
 from agents.trained_run import TrainedRun, held_out_names
 from dynagen_bench import ids
@@ -150,27 +150,30 @@ def choose_steps(folder: Path, settings: AdaptationSettings, points: Sequence[in
 
 
 def command(
-    run: Annotated[Path, tyro.conf.Positional],
+    runs: Annotated[list[Path], tyro.conf.Positional],
     settings: Annotated[AdaptationSettings, tyro.conf.arg(name="")],
     curve: bool = False,
     threads: int = 0,
 ) -> None:
-    """Fine-tune a finished run for each test dynamics, and evaluate it there.
+    """Fine-tune finished runs for each test dynamics, and evaluate them there.
 
     Args:
-        run: folder of a run that training has finished.
+        runs: folders of runs that training has finished.
         settings: how.
-        curve: instead, measure the return after each number of steps, in the train dynamics that the run held out.
+        curve: instead, measure the return after each number of steps, in the train dynamics that the runs held out.
         threads: processor threads for torch; 0 leaves it to torch.
     """
+    if not runs:
+        raise ValueError("no runs given: name at least one run folder")
     use_threads(threads)
-    if curve:
-        rich.print(f"written: {choose_steps(run, settings)}")
-        return
-    result = adapt(run, settings)
-    before = Evaluation.from_json(read_json(run / "evaluation.json")["evaluation"])
-    print_table(comparison(before, read_result(result)))
-    rich.print(f"written: {result}")
+    for run in runs:  # a wrong one is told before the others are adapted
+        read_finished(run, AGENTS)
+    for run in runs:
+        result = choose_steps(run, settings) if curve else adapt(run, settings)
+        if not curve:
+            before = Evaluation.from_json(read_json(run / "evaluation.json")["evaluation"])
+            print_table(comparison(before, read_result(result)))
+        print(f"written: {result}")
 
 
 def main(arguments: list[str] | None = None) -> None:

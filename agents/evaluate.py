@@ -12,9 +12,10 @@ from typing import Annotated, Any, Final
 import rich.table
 import tyro
 
+from agents import AGENTS
 from agents.interface import Agent, Fitted
 from agents.learner import Learner
-from agents.run_folder import LEARNED, write_json
+from agents.run_folder import LEARNED, read_finished, write_json
 from agents.threads import use_threads
 from agents.trained_run import TrainedRun
 from agents.validation import set_apart
@@ -45,6 +46,9 @@ def measure_learning(folder: Path, dynamics: int | None = None) -> dict[str, Any
 
 def _measured(run: TrainedRun, dynamics: int | None) -> dict[str, Any]:
     robot, seed = run.checkpoint.spec.robot, run.checkpoint.seed
+    most = ids.SPLIT_SIZES["train"]
+    if dynamics is not None and not 1 <= dynamics <= most:
+        raise ValueError(f"dynamics is {dynamics}: give a whole number from 1 to {most}, the train dynamics")
     names = ids.choose_ids(robot, "train", None if dynamics is None else range(dynamics))
     trained, untrained = run.checkpoint.build_agent(), _untrained(run)
     assert isinstance(trained, Agent), "`TrainedRun` is of agents alone"
@@ -101,6 +105,8 @@ def _command(
     if not runs:
         raise ValueError("no runs given: name at least one run folder")
     use_threads(threads)
+    for folder in runs:  # a wrong one is told before the others are measured
+        read_finished(folder, AGENTS)
     return table([measure_learning(folder, dynamics) for folder in runs])
 
 

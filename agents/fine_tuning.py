@@ -27,6 +27,7 @@ from agents.learner import Learner
 from agents.trained_run import TrainedRun
 from dynagen_bench import ids
 from dynagen_bench.datasets import OfflineDataset
+from dynagen_bench.datasets.subsets import ADAPTATION_EPISODES
 from dynagen_bench.evaluation import Evaluation, evaluate
 from dynagen_bench.whole import whole_file
 
@@ -56,8 +57,8 @@ class AdaptationSettings:
     """Of AdamW; the paper's 1e-2 if left out, or that of training, as above."""
     batch_size: int | None = None
     """Samples in a gradient step; the paper's 32 if left out, or that of training, as above."""
-    episodes: int = 10
-    """Of each dynamics to fine-tune on; 10 is the benchmark's fixed set."""
+    episodes: int = ADAPTATION_EPISODES
+    """Of each dynamics to fine-tune on; 10 is the benchmark's fixed set, and what may be submitted."""
     seed: int = 0
     """Of windows and dropout, together with the run's own."""
 

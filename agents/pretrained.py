@@ -14,11 +14,12 @@ from typing import Any, Final
 
 import safetensors
 
-from agents import AGENTS
+from agents import AGENTS, check_agent
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.interface import Agent
 from agents.recording import score_if_known
 from agents.trained_run import TrainedRun
+from dynagen_bench import ids
 from dynagen_bench.evaluation import Evaluation
 
 FOLDER: Final = Path(__file__).with_name("pretrained")
@@ -54,6 +55,8 @@ def _checkpoint_of(place: Path) -> Path:
 
 
 def _stored_file(name: str, robot: str, folder: Path) -> Path:
+    check_agent(name, AGENTS)
+    ids.check_robot(robot)
     path = folder / f"{name}-{robot}.safetensors"
     if f"{name}-{robot}" not in stored(folder):
         raise FileNotFoundError(

@@ -230,6 +230,11 @@ def read_finished(folder: Path, agents: Collection[str]) -> tuple[dict[str, Any]
         FileNotFoundError: the folder is no run, or training has not ended it.
         ValueError: it is of no agent, or was continued and has not come to its last step.
     """
+    if not (folder / "config.json").is_file():
+        if not folder.is_dir():
+            raise FileNotFoundError(f"{folder} is no folder: name run folders, as runs/*/")
+        if any(folder.glob("*/config.json")):
+            raise FileNotFoundError(f"{folder} is no run, but holds some: name these, as {folder}/*/")
     for file in ("config.json", "last.safetensors", "evaluation.json", "evaluation-best.json"):
         if not (folder / file).is_file():
             raise FileNotFoundError(f"{folder} is no finished run, it has no {file}: train it to the end first")

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import pydantic
-import rich
 import tyro
 
 from agents import AGENTS
@@ -30,6 +29,7 @@ from agents.run_folder import (
     usual_config,
 )
 from dynagen_bench import ids
+from dynagen_bench.datasets.subsets import ADAPTATION_EPISODES
 from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.evaluation.result import first_error
 from dynagen_bench.evaluation.submission import (
@@ -87,7 +87,8 @@ def submit(
 
     Raises:
         FileNotFoundError: a folder is no finished run, or it has no result of that track.
-        ValueError: the runs do not belong together, or a text is not what the format allows.
+        ValueError: the runs do not belong together, were adapted on other episodes than the track's, or a text is not
+            what the format allows.
     """
     if not runs:
         raise ValueError("no runs given: name at least one run folder")
@@ -100,7 +101,12 @@ def submit(
         _the_same(f"config for {robot}", [config["config"] for config in of_robot])
         for setting in DATA:
             _the_same(f"{setting} for {robot}", [config["settings"][setting] for config in of_robot])
-    _the_same("adaptation", [record.get("adaptation") for record in records])
+    adaptation = _the_same("adaptation", [record.get("adaptation") for record in records])
+    if adaptation is not None and adaptation["episodes"] != ADAPTATION_EPISODES:
+        raise ValueError(
+            f"the runs were adapted on {adaptation['episodes']} episodes of each test dynamics, and the track has a "
+            f"fixed set of {ADAPTATION_EPISODES}: adapt them again without --episodes"
+        )
     try:
         submission = Submission(
             format_version=FORMAT_VERSION,
@@ -147,7 +153,7 @@ def _read_run(folder: Path, checkpoint: str, track: Track) -> FinishedRun:
         raise ValueError("only the last checkpoint is fine-tuned: give --checkpoint last with --track adaptation")
     config, last = read_finished(folder, AGENTS)
     name = "adaptation" if track == "adaptation" else "evaluation" if checkpoint == "last" else "evaluation-best"
-    if not (folder / f"{name}.json").is_file():
+    if track == "adaptation" and not (folder / f"{name}.json").is_file():
         raise FileNotFoundError(f"{folder} has no {name}.json: make it with `python -m agents.adapt {folder}`")
     record = read_json(folder / f"{name}.json")
     if record.get("trained_steps", last["gradient_steps"]) != last["gradient_steps"]:
@@ -175,13 +181,22 @@ def _commit(run: FinishedRun) -> str | None:
 def _the_same(what: str, values: list[Any]) -> Any:
     for value in values:
         if value != values[0]:
-            raise ValueError(f"{what} differs between the runs, {values[0]!r} and {value!r}: submit them apart")
+            one, other = _where_they_differ(values[0], value)
+            raise ValueError(f"{what} differs between the runs, {one!r} and {other!r}: submit them apart")
     return values[0]
+
+
+def _where_they_differ(one: Any, other: Any) -> tuple[Any, Any]:
+    """Of two records the fields that differ, anything else as it is."""
+    if not (isinstance(one, dict) and isinstance(other, dict)):
+        return one, other
+    fields = [field for field in one | other if one.get(field) != other.get(field)]
+    return {field: one.get(field) for field in fields}, {field: other.get(field) for field in fields}
 
 
 def _summary(agent: str) -> str:
     """The first line of the agent's file."""
-    return (sys.modules[AGENTS[agent][1].__module__].__doc__ or agent).split("\n")[0]
+    return (sys.modules[AGENTS[agent][1].__module__].__doc__ or f"{agent}.").split("\n")[0]
 
 
 def _training_line(runs: list[FinishedRun]) -> str:
@@ -240,7 +255,7 @@ def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
     with one_line_errors():
         path = tyro.cli(submit, prog="python -m agents.submit", args=arguments)
-        rich.print(f"written: {path}")
+        print(f"written: {path}")
 
 
 if __name__ == "__main__":

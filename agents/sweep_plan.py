@@ -152,7 +152,7 @@ def _read(command: str) -> tuple[list[str], tuple[str, TrainingConfig, RunSettin
         raise ValueError(f"in {command!r}: {error}") from error
     except SystemExit:
         lines = (line.strip(" │") for line in told.getvalue().split("For full helptext")[0].splitlines())
-        reason = " ".join(line for line in lines if re.search(r"\w", line))
+        reason = " ".join(line for line in lines if re.search(r"\w", line) and "─" not in line)  # no frame, no title
         raise ValueError(f"{command!r} is no command line of agents.train: {reason or 'it asks for help'}") from None
     defaults = RunSettings(settings.robot)
     for key in _OURS:

@@ -14,14 +14,13 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, cast
 
 import numpy as np
-import rich
 import torch
 import tyro
 
-from agents import TRAINABLE
+from agents import TRAINABLE, check_agent
 from agents.checkpoint import Checkpoint, load_checkpoint, package_versions, save_checkpoint
 from agents.config import TrainingConfig
 from agents.interface import Fitted, RobotSpec, Sampler
@@ -270,17 +269,19 @@ def parse(arguments: Sequence[str]) -> Parsed:
     """The agent's name, its config and the settings that a command line asks for.
 
     Raises:
-        ValueError: a config or settings that make no sense.
+        ValueError: an unknown agent, or a config or settings that make no sense.
         SystemExit: what is no command line of this program, which is told on the error stream, or asks for help.
     """
-    commands: Mapping[str, Any] = {name: _command(name, config_class) for name, (config_class, _) in TRAINABLE.items()}
-    about = (
-        "Train an agent on the data of a robot. A run that was stopped continues when the same command is given again."
-    )
-    parsed: Parsed = tyro.extras.subcommand_cli_from_dict(
-        dict(commands), prog="python -m agents.train", args=arguments, description=about
-    )
-    return parsed
+    program, parsed = "python -m agents.train", None
+    if arguments and not arguments[0].startswith("-"):
+        name, *options = arguments
+        check_agent(name, TRAINABLE)
+        parsed = tyro.cli(_command(name, TRAINABLE[name][0]), prog=f"{program} {name}", args=options)
+    else:  # asks for help, or shall be told what is missing
+        commands = {name: _command(name, config_class) for name, (config_class, _) in TRAINABLE.items()}
+        about = "Train an agent on the data of a robot. A stopped run continues when the same command is given again."
+        parsed = tyro.extras.subcommand_cli_from_dict(commands, prog=program, args=arguments, description=about)
+    return cast(Parsed, parsed)
 
 
 def run(parsed: Parsed, command: str, report: Callable[[int], None] = lambda step: None) -> Path:
@@ -302,18 +303,18 @@ def _say(folder: Path) -> None:
     """Print a finished run's result."""
     if not (folder / "evaluation.json").is_file():  # it predicts
         error = read_json(folder / PREDICTION)["prediction"]["mean"]
-        rich.print(f"{folder}: mean square error {error:.5f} of the next states in the test dynamics")
+        print(f"{folder}: mean square error {error:.5f} of the next states in the test dynamics")
         return
     record = read_json(folder / "evaluation.json")
     evaluation = Evaluation.from_json(record["evaluation"])
     score = "".join(f", score {value:.2f}" for value in score_if_known(evaluation).values())
-    rich.print(f"{folder}: mean return {evaluation.returns.mean():.1f} in the test dynamics{score}")
+    print(f"{folder}: mean return {evaluation.returns.mean():.1f} in the test dynamics{score}")
 
 
 def main(arguments: list[str] | None = None) -> None:
     """The command line; an error that a user can mend is one line."""
     given = sys.argv[1:] if arguments is None else arguments
-    left = "give the same command again to continue from the last checkpoint"
+    left = "give the same command again, it goes on from the last checkpoint, one every --checkpoint-every steps"
     with one_line_errors(also=(FloatingPointError,), stopped=left):
         _say(run(parse(given), f"python -m agents.train {shlex.join(given)}"))
 

@@ -24,7 +24,7 @@ SMALLER = {
     "make ": f"make --directory {ROOT} --dry-run ",
     "dynagen data build Hopper": "dynagen data build Hopper --every 20",
     "--steps 5000": "--steps 2 --batch-size 4 --embedding 8",
-    "agents.adapt runs/dadt-Hopper-seed0": "agents.adapt runs/dadt-Hopper-seed0 --steps 1 --episodes 2",
+    "agents.adapt runs/dadt-Hopper-seed0": "agents.adapt runs/dadt-Hopper-seed0 --steps 1",
     "STEPS = 5_000": "STEPS = 5",
     "steps=2_000,": "steps=4, batch_size=4, layers=1, embedding=8,",
     "evaluate_every=500": "evaluate_every=2, checkpoint_every=2, log_every=2",

@@ -11,7 +11,7 @@ from dynagen_bench.collection.policies import BehaviourPolicy, policy_file, save
 from dynagen_bench.datasets import OfflineDataset
 
 SNAPSHOTS = (100, 200, 300, 400)
-EPISODES_PER_SNAPSHOT = 2
+EPISODES_PER_SNAPSHOT = 3
 
 
 def random_policy(robot: str, rng: np.random.Generator, hidden: int = 8) -> BehaviourPolicy:

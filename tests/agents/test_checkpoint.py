@@ -43,7 +43,8 @@ def test_saved_and_loaded_it_acts_the_same(learner, tmp_path):
         actions = [policy.predict(observations)[0] for policy in policies]
         assert np.array_equal(*actions)
         for policy in policies:
-            policy.observe(rewards)
+            if hasattr(policy, "observe"):  # who asks for no return need not be told
+                policy.observe(rewards)
     assert os.listdir(path.parent) == ["last.safetensors"]
 
 

@@ -48,6 +48,37 @@ def test_runs_become_a_submission_that_the_leaderboard_reads(tmp_path):
     assert found.versions.keys() >= {"torch", "mujoco", "numpy", "gymnasium"}
 
 
+def test_runs_of_other_configs_are_told_by_what_differs(tmp_path):
+    folders = [run(tmp_path, seed=seed) for seed in (0, 1)]
+    config = json.loads((folders[1] / "config.json").read_text())
+    config["config"]["batch_size"] = 7
+    (folders[1] / "config.json").write_text(json.dumps(config))
+    with pytest.raises(
+        ValueError, match=r"^config for Hopper differs .*, \{'batch_size': \d+\} and \{'batch_size': 7\}: "
+    ):
+        submit(folders, tmp_path / "out", authors=["A. Name"])
+
+
+def test_the_adaptation_track_has_a_fixed_set_of_episodes(tmp_path, tiny_data):
+    folder = run(tmp_path, every=1)
+    adapt(folder, AdaptationSettings(steps=1, episodes=2, batch_size=2))
+    with pytest.raises(
+        ValueError, match="adapted on 2 episodes of each test dynamics, and the track has a fixed set of 10"
+    ):
+        submit([folder], tmp_path / "out", authors=["A. Name"], track="adaptation")
+    assert not (tmp_path / "out").exists()
+
+
+def test_folders_of_runs_are_told_from_runs(tmp_path):
+    folder = run(tmp_path)
+    for given, message in (
+        (folder.parent, "is no run, but holds some: name these, as"),
+        (tmp_path / "x", "is no folder"),
+    ):
+        with pytest.raises(FileNotFoundError, match=message):
+            submit([given], tmp_path / "out", authors=["A. Name"])
+
+
 def test_a_damaged_result_is_one_line(tmp_path):
     folder = run(tmp_path)
     record = json.loads((folder / "evaluation.json").read_text())
@@ -118,20 +149,20 @@ def test_what_was_fine_tuned_is_a_submission_of_the_other_track(tmp_path, tiny_d
     folder = run(tmp_path, every=1, seed=1)
     with pytest.raises(FileNotFoundError, match=r"has no adaptation.json: make it with `python -m agents.adapt"):
         submit([folder], tmp_path / "out", ["A. Name"], track="adaptation")
-    adapt(folder, AdaptationSettings(steps=3, episodes=4, learning_rate=0.01))
+    adapt(folder, AdaptationSettings(steps=3, learning_rate=0.01))
     with pytest.raises(ValueError, match="only the last checkpoint is fine-tuned: give --checkpoint last"):
         submit([folder], tmp_path / "out", ["A. Name"], track="adaptation", checkpoint="best")
     options = [str(folder), "--output", str(tmp_path / "out"), "--authors", "A. Name", "--track", "adaptation"]
     main(options)
     found = read_submission(tmp_path / "out")
     assert (found.track, found.checkpoint, found.privileged) == ("adaptation", "last", "offline-context")
-    assert "2 gradient steps, then fine-tuned for 3 on 4 episodes of each test dynamics." in found.description
+    assert "2 gradient steps, then fine-tuned for 3 on 10 episodes of each test dynamics." in found.description
     record = json.loads((folder / "adaptation.json").read_text())
     assert (found.runs[0].gradient_steps, found.hours) == (5, record["hours"])
     assert found.runs[0].evaluation.returns == record["evaluation"]["returns"]
     assert found.runs[0].curve == []
     assert found.commands[0].startswith("python -m agents.train dadt --robot Hopper --seed 1 --threads 1 --context 5 ")
-    expected = "python -m agents.adapt runs/dadt-Hopper-seed1 --steps 3 --learning-rate 0.01 --episodes 4 --threads 1"
+    expected = "python -m agents.adapt runs/dadt-Hopper-seed1 --steps 3 --learning-rate 0.01 --threads 1"
     assert found.commands[1:] == [expected]
     assert [check.label for check in verify(tmp_path / "out", found)] == ["replayed"]
 
@@ -142,7 +173,7 @@ def test_what_was_fine_tuned_is_a_submission_of_the_other_track(tmp_path, tiny_d
 
 def test_the_steps_of_an_adaptation_are_told_also_where_they_are_the_default(tmp_path, tiny_data):
     folder = run(tmp_path, every=1)
-    adapt(folder, AdaptationSettings(steps=1, episodes=2))
+    adapt(folder, AdaptationSettings(steps=1))
     record = json.loads((folder / "adaptation.json").read_text())
     record["adaptation"] = dataclasses.asdict(AdaptationSettings()) | PAPER | {"steps": 2000}
     del record["threads"]  # older than that
@@ -154,7 +185,7 @@ def test_the_steps_of_an_adaptation_are_told_also_where_they_are_the_default(tmp
 
 def test_the_commit_is_that_which_has_made_the_result(tmp_path, tiny_data):
     folder = run(tmp_path, every=1)
-    adapt(folder, AdaptationSettings(steps=1, episodes=2))
+    adapt(folder, AdaptationSettings(steps=1))
     for file, commit in (("config.json", "a" * 40), ("adaptation.json", "b" * 40)):
         content = json.loads((folder / file).read_text())
         assert "commit" in content
