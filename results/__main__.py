@@ -13,14 +13,19 @@ from results.page import DRAWINGS, pages
 DOCS = Path(__file__).parents[1] / "docs"
 
 
-def _keep(runs: Annotated[list[Path], tyro.conf.Positional], group: str = REFERENCE) -> None:
+def _keep(
+    runs: Annotated[list[Path], tyro.conf.Positional],
+    group: str = REFERENCE,
+    replace: tyro.conf.FlagCreatePairsOff[bool] = False,
+) -> None:
     """Keep what matters of finished runs: config, curves, next-state errors; no weights.
 
     Args:
         runs: their folders.
         group: what they belong to: `reference`, or what they vary.
+        replace: Take the place of other runs of the same names.
     """
-    for place in keep(runs, group):
+    for place in keep(runs, group, replace=replace):
         print(f"kept: {place}")
 
 

@@ -33,6 +33,7 @@ from agents.run_folder import (
     PREDICTION,
     TARGET_CURVE,
     ends_run,
+    identity,
     is_committed,
     read_config,
     read_json,
@@ -69,11 +70,18 @@ class Errors(NamedTuple):
     """Error of the present state in place of a prediction; None of runs that were measured before it was."""
 
 
-def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
-    """Copy what is kept of finished runs; a run of the same name is replaced, whatever it had. Returns the folders.
+def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER, replace: bool = False) -> list[Path]:
+    """Copy what is kept of finished runs, anew what is kept of the same run already. Returns the folders.
+
+    Args:
+        runs: their folders.
+        group: what they belong to.
+        folder: with the groups in `runs/`.
+        replace: another run of the same name is replaced, whatever it had.
 
     Raises:
         FileNotFoundError: a folder is no run that has trained.
+        FileExistsError: another run of the same name is kept.
         ValueError: no run is given, two have one name, one is not finished, or not of committed code: nobody could make
             it again; or the group is no name of a folder.
     """
@@ -85,18 +93,31 @@ def keep(runs: Sequence[Path], group: str, folder: Path = FOLDER) -> list[Path]:
     names = [run.name for run in found]
     if twice := [name for name in names if names.count(name) > 1]:
         raise ValueError(f"two of the runs are called {twice[0]}, and would be kept in one folder: rename one of them")
-    kept = []
-    for run, about in found.items():
-        settings = {key: value for key, value in about["settings"].items() if key not in _OF_A_MACHINE}
-        place = folder / "runs" / group / run.name
+    places = {run: folder / "runs" / group / run.name for run in found}
+    for run, place in places.items():
+        if not replace and place.is_dir() and not _goes_on(found[run], read_config(place)):
+            raise FileExistsError(
+                f"{place} is another run, made by {read_config(place).get('command')!r}: give --replace, or another "
+                "--group"
+            )
+    for run, place in places.items():
         with exclusively(place), whole_folder(place) as unfinished:
-            told = about | {"settings": settings, "command": _plain(about.get("command"))}
-            write_json(unfinished / "config.json", told)
+            write_json(unfinished / "config.json", _told(found[run]))
             for name in _COPIED:
                 if (run / name).is_file():
                     shutil.copyfile(run / name, unfinished / name)
-        kept.append(place)
-    return kept
+    return list(places.values())
+
+
+def _told(about: Mapping[str, Any]) -> dict[str, Any]:
+    """What is kept of a run's config.json."""
+    settings = {key: value for key, value in about["settings"].items() if key not in _OF_A_MACHINE}
+    return {**about, "settings": settings, "command": _plain(about.get("command"))}
+
+
+def _goes_on(about: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
+    """Whether a run is the one before, made again or continued."""
+    return identity(_told(about)) == identity(before) and about["config"]["steps"] >= before["config"]["steps"]
 
 
 def _checked(run: Path) -> dict[str, Any]:

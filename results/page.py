@@ -43,6 +43,9 @@ CHOSEN: Final = {
 }
 """Group of kept runs that hold out train dynamics → what was chosen by them."""
 
+EARLY: Final = "first-steps"
+"""Group of kept runs of few steps, often evaluated."""
+
 CURVES: Final = {
     ADAPTATION_CURVE: ("steps of fine-tuning on ten episodes", "steps"),
     TARGET_CURVE: ("the return that is asked for", "asked for"),
@@ -144,6 +147,22 @@ Mean return of the last checkpoints in train dynamics, of the same agents before
 actions, in the same ten episodes of each (`python -m agents.evaluate`).
 """
 
+NOISE: Final = """\
+## How far a score moves within a run
+
+A run goes on moving after its losses have settled, and its last checkpoint is one point on that way. Here is the
+standard deviation of the test score over a run's later evaluations, the mean over runs, and behind the stroke that of
+the last checkpoints between runs, which is what stands behind ± above. Where the two are alike, ± tells how single
+checkpoints scatter, and hardly how seeds differ: the score of one run may be another a thousand steps later.
+"""
+
+FIRST_STEPS: Final = """\
+## The first thousand steps
+
+Agents as those of the board, one run each, in the train dynamics that they held out, and in the test dynamics, of which
+nothing was chosen by this: what an agent gains by its 5,000 steps is to be seen beside what it has after a few hundred.
+"""
+
 CHOICES: Final = """\
 ## How hyperparameters were chosen
 
@@ -206,7 +225,9 @@ def pages(board: Path = BOARD, folder: Path = FOLDER) -> dict[str, str]:
         ERRORS,
         tables.errors(errors),
         *_pictures(figures, "errors"),
+        *([NOISE, noise] if (noise := tables.noise(runs)) else []),
         *_learning(folder),
+        *_first_steps(folder),
         *_choices(folder),
         *_compute(folder),
         RUN,
@@ -260,6 +281,16 @@ def _figures(robot: str, runs: Sequence[Run], errors: Sequence[Errors]) -> dict[
 
 def _pictures(figures: Mapping[str, Drawing], kind: str) -> list[str]:
     return [f"![{one.title}]({name})\n" for name, one in figures.items() if name.endswith(f"-{kind}.svg")]
+
+
+def _first_steps(folder: Path) -> list[str]:
+    runs = kept_runs(EARLY, folder)
+    if not runs:
+        return []
+    parts = [FIRST_STEPS]
+    for words, name in (("Return in held-out train dynamics", "validation_return"), ("Score", "test_score")):
+        parts += [f"{words} by gradient steps:\n", tables.by_steps(tables.mean_curves(runs, name))]
+    return parts
 
 
 def _choices(folder: Path) -> list[str]:

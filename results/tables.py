@@ -183,6 +183,27 @@ def held_out(runs: Sequence[Run]) -> str:
     return table(header, lines)
 
 
+def noise(runs: Sequence[Run]) -> str:
+    """How far test scores lie apart within a run, over its later evaluations, and between runs, at their ends.
+
+    A line an agent, a column a robot: the mean over runs of the standard deviation over all evaluations of a run but
+    its first, and behind it the standard deviation over the runs' last ones.
+    """
+    cells: dict[str, dict[str, str]] = {}
+    for group in grouped(runs):
+        curves, ends = group.curves("test_score"), group.ends("test_score")
+        if len(ends) > 1 and len(curves[0]) >= LATER + 1:
+            within = statistics.fmean(statistics.stdev([*curve.values()][1:]) for curve in curves)
+            name = NAMES.get(group.runs[0].about["agent"], group.label)
+            cells.setdefault(name, {})[group.robot] = f"{within:.1f} / {statistics.stdev(ends):.1f}"
+    lines = [[escape(name), *(own.get(robot, "–") for robot in ids.ROBOTS)] for name, own in cells.items()]
+    return table(["within a run / between runs", *ids.ROBOTS], lines) if lines else ""
+
+
+LATER: Final = 4
+"""Evaluations behind the first, at least, that a deviation within a run is taken of."""
+
+
 def learning(records: Sequence[Mapping[str, Any]]) -> str:
     """Mean returns in train dynamics over runs, beside those of the untrained agents and of random actions."""
     groups: dict[tuple[str, str, int, int], list[Mapping[str, Any]]] = {}
@@ -198,11 +219,14 @@ def learning(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def mean_curves(runs: Sequence[Run], name: str) -> dict[str, dict[float, float]]:
-    """Label of a group → steps → the mean over its runs of one of their curves."""
+    """Label of a group, with its robot where there are several → steps → the mean over its runs of one curve."""
     found: dict[str, dict[float, float]] = {}
-    for group in grouped(runs):
+    groups = grouped(runs)
+    several = len({group.robot for group in groups}) > 1
+    for group in groups:
         if curves := group.curves(name):
-            found[group.label] = {step: statistics.fmean(curve[step] for curve in curves) for step in curves[0]}
+            label = f"{group.robot}, {group.label}" if several else group.label
+            found[label] = {step: statistics.fmean(curve[step] for curve in curves) for step in curves[0]}
     return found
 
 

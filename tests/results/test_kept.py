@@ -115,6 +115,24 @@ def test_what_a_run_has_lost_is_not_left_from_the_one_it_replaces(trained, tmp_p
     assert {path.name for path in place.iterdir()} == {"config.json", "curves.csv", "evaluation.json"}
 
 
+@pytest.mark.parametrize("change", [{"steps": 1}, {"batch_size": 7}])
+def test_another_run_takes_the_place_only_when_asked(trained, tmp_path, change):
+    run = trained("dadt")
+    (place,) = keep([run], "reference", tmp_path / "kept")
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps(config | {"config": config["config"] | change}))
+    record = json.loads((run / "evaluation.json").read_text())
+    steps = change.get("steps", config["config"]["steps"])
+    (run / "evaluation.json").write_text(json.dumps(record | {"gradient_steps": steps}))
+    before = {path.name: path.read_bytes() for path in place.iterdir()}
+    with pytest.raises(FileExistsError, match=r"is another run, made by .*: give --replace, or another --group"):
+        keep([trained("mlp", errors=[0.1] * 5), run], "reference", tmp_path / "kept")
+    assert {path.name: path.read_bytes() for path in place.iterdir()} == before
+    assert list(place.parent.glob("[!.]*")) == [place]  # nor is the other run kept
+    keep([run], "reference", tmp_path / "kept", replace=True)
+    assert {path.name: path.read_bytes() for path in place.iterdir()} != before
+
+
 def test_an_interruption_leaves_what_was_kept_before(trained, tmp_path, monkeypatch):
     (place,) = keep([trained("dadt", seed=0)], "reference", tmp_path / "kept")
     before = {path.name: path.read_bytes() for path in place.iterdir()}
@@ -125,7 +143,7 @@ def test_an_interruption_leaves_what_was_kept_before(trained, tmp_path, monkeypa
 
     monkeypatch.setattr(shutil, "copyfile", stopped)
     with pytest.raises(KeyboardInterrupt):
-        keep([other], "reference", tmp_path / "kept")
+        keep([other], "reference", tmp_path / "kept", replace=True)
     assert {path.name: path.read_bytes() for path in place.iterdir()} == before
 
 

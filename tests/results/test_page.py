@@ -14,7 +14,7 @@ from leaderboard.board import submit
 from results.figures import error_bars, learning_curves
 from results.kept import beside_reference, keep
 from results.page import PAGE, pages
-from results.tables import training
+from results.tables import noise, training
 from tests.evaluation.samples import traced
 
 
@@ -41,6 +41,10 @@ def made(board, trained, tmp_path):
     asked = trained("dt", settings={"hold_out": 4}, target_return=7.0)
     (asked / "target-curve.csv").write_text("target_return,mean_return\n565.0,301\n1130.0,290.5\n")
     keep([asked], "target-return", tmp_path / "kept")
+    for robot, value in (("Hopper", 310), ("Ant", 90)):
+        early = trained("dadt", robot=robot, settings={"hold_out": 4})
+        (early / "curves.csv").write_text(f"step,validation_return,test_score\n100,{value},12\n200,320,13.5\n")
+        keep([early], "first-steps", tmp_path / "kept")
     learned = {"agent": "dadt", "robot": "Hopper", "gradient_steps": 200, "dynamics": ["train0", "train1"]}
     learned |= {"trained": [300, 310], "untrained": [20, 30], "random": [10, 11]}
     (tmp_path / "kept/runs/reference/dadt/evaluation-train.json").parent.mkdir()
@@ -74,8 +78,23 @@ def test_the_page_has_every_part(made):
     assert "| 301.0 | 290.5 |" in page
     assert "| dadt | 300.0 | 320.0 |" in page  # return by gradient steps
     assert "| dadt | 0.5000 | 0.2500 |" in page
+    first_steps = page.split("## The first thousand steps")[1]
+    assert "| Ant, dadt | 90.0 | 320.0 |" in first_steps
+    assert "| Hopper, dadt | 310.0 | 320.0 |" in first_steps
+    assert "| Hopper, dadt | 12.0 | 13.5 |" in first_steps
     assert "| DADT | Hopper | 1 | 200 | 2 | 305 | 25 | 10.5 |" in page
     assert "0.001 after 500 steps of warm-up" in page
+
+
+def test_scores_within_a_run_stand_beside_those_between_runs(trained):
+    for seed, scores in enumerate(([0, 50, 52, 54, 56], [0, 30, 30, 30, 30])):
+        folder = trained("dadt", seed)
+        lines = (f"{100 * number},{score}\n" for number, score in enumerate(scores))
+        (folder / "curves.csv").write_text("step,test_score\n" + "".join(lines))
+    # 50, 52, 54, 56 have the sample standard deviation √(20/3) = 2.58, the constant run has 0; 56 and 30 have 18.4
+    assert "| DADT | – | 1.3 / 18.4 | – | – | – |" in noise(read_runs(folder.parent))
+    (folder / "curves.csv").write_text("step,test_score\n0,1\n100,2\n200,3\n")
+    assert noise(read_runs(folder.parent)) == ""  # at the steps that both have there are too few
 
 
 def test_a_schedule_of_the_learning_rate_is_told(trained):
