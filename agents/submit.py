@@ -136,8 +136,7 @@ def submit(
         )
     except pydantic.ValidationError as error:
         raise ValueError(f"not a submission: {first_error(error)}") from error
-    traces = [run.evaluation.traces for run in found]
-    return write_submission(output, submission, [one for one in traces if one is not None])
+    return write_submission(output, submission, [run.evaluation.traces for run in found])
 
 
 def _privileged(agent: str, track: Track) -> Literal["none", "own-history", "offline-context"]:

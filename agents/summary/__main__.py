@@ -18,6 +18,8 @@ def _command(runs: Annotated[Path, tyro.conf.Positional], output: Path = Path("s
     """
     if not runs.is_dir():
         raise FileNotFoundError(f"no folder {runs}: give the one that run folders are in")
+    if not any(runs.glob("*/config.json")):
+        raise FileNotFoundError(f"{runs} holds no run folders: give the one that they are in")
     return write_summary(runs, output)
 
 

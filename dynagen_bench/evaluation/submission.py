@@ -224,7 +224,7 @@ def schema_text() -> str:
     return json.dumps(schema, indent=1, ensure_ascii=False, sort_keys=True) + "\n"
 
 
-def write_submission(folder: Path, submission: Submission, traces: Iterable[Traces] = ()) -> Path:
+def write_submission(folder: Path, submission: Submission, traces: Iterable[Traces | None] = ()) -> Path:
     """Write a submission into `folder` and return the path of its `submission.json`, which is written last.
 
     Each file is written whole or not at all. The runs name their traces by hash: a reader notices if a file is missing
@@ -233,13 +233,14 @@ def write_submission(folder: Path, submission: Submission, traces: Iterable[Trac
     Args:
         folder: made if it is not there; what else it holds stays.
         submission: what to write.
-        traces: those of the runs, in any order; of all runs that have some.
+        traces: those of the runs, in any order; of all runs that have some. None, of an evaluation that recorded none,
+            is passed over: such a run stays self-reported.
 
     Raises:
         ValueError: the text would be larger than what is read again, or a run's traces are not given.
     """
     content = submission_content(submission)
-    given = {one.sha256: one for one in traces}
+    given = {one.sha256: one for one in traces if one is not None}
     for number, run in enumerate(submission.runs):
         if run.trace is not None and run.trace not in given:
             raise ValueError(f"runs.{number}.trace: these traces are not given: pass its evaluation's `traces`")

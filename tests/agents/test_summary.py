@@ -191,6 +191,8 @@ def test_what_is_no_run_is_told_in_one_line(tmp_path):
         assert "\n" not in str(stop.value)
     with pytest.raises(SystemExit, match=r"error: no folder .*nowhere"):
         main([str(tmp_path / "nowhere")])
+    with pytest.raises(SystemExit, match=r"error: .* holds no run folders: give the one that they are in"):
+        main([str(made)])
     assert not (tmp_path / "page.html").exists()
 
 

@@ -272,3 +272,12 @@ def test_the_committed_schema_is_current_and_describes_what_is_written(tmp_path)
     properties = json.loads(schema_text())["properties"]
     assert json.loads(submission_text(traced(tmp_path))).keys() <= properties.keys()
     assert "traces" not in properties
+
+
+def test_a_run_without_traces_is_written_and_stays_self_reported(tmp_path):
+    result = evaluation()
+    assert result.traces is None
+    run = Run.from_evaluation(result, seed=0, gradient_steps=0)
+    write_submission(tmp_path, submission().model_copy(update={"format_version": 2, "runs": [run]}), [result.traces])
+    assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
+    assert read_submission(tmp_path).runs[0].trace is None
