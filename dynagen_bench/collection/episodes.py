@@ -92,7 +92,7 @@ def collect_episodes(
         name: the dynamics they run in.
         snapshots: environment steps after which it was stored → policy.
         episodes_per_snapshot: this many simulations are stepped at once.
-        threads: physics threads, 0 for all processors; the episodes are the same at any number.
+        threads: physics threads, as `BatchPhysics` takes them; the episodes are the same at any number.
 
     Raises:
         ValueError: fewer than one episode a snapshot.

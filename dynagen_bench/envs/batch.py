@@ -20,6 +20,9 @@ from dynagen_bench.envs.robots import ROBOT_CLASSES
 from dynagen_bench.envs.rules import Array, Reward, Rules, Values, initial_state, observe, reward, velocity_info
 from dynagen_bench.envs.single import BAD_STATE
 
+THREADS_VARIABLE: Final = "DYNAGEN_THREADS"
+"""Environment variable: what 0 physics threads means. A job of `dynagen_bench.jobs` has it at 1."""
+
 _ALIVE: Final[weakref.WeakSet["BatchPhysics"]] = weakref.WeakSet()
 _INHERITED: Final[list["BatchPhysics"]] = []
 
@@ -63,6 +66,7 @@ class BatchPhysics:
         qvel: (N, nv) float64, live, the rest of it.
         reference_qpos: (nq,) float64, the robot's pose before the noise of a start.
         action_limit: (A,) float64, the highest action; every robot's lowest is its negative.
+        threads: that it is stepped on, the caller's own among them.
     """
 
     def __init__(self, robot: str, dynamics: Sequence[Dynamics], threads: int = 0, rules: Rules | None = None) -> None:
@@ -71,18 +75,20 @@ class BatchPhysics:
         Args:
             robot: one of `ids.ROBOTS`.
             dynamics: one per simulation; the same object for several of them is compiled once.
-            threads: physics threads, 0 for all processors; the bits are the same at any number.
+            threads: physics threads, 0 for as many as `DYNAGEN_THREADS` says, or as there are processors that this
+                process may run on; the bits are the same at any number.
             rules: the task's numbers, the robot's own if None.
 
         Raises:
             ValueError: an unknown robot, no dynamics, dynamics that name elements the robot does not have, or a number
-                of threads that is none.
+                of threads that is none, here or in `DYNAGEN_THREADS`.
         """
         if not dynamics:
             raise ValueError("no dynamics given: a batch needs at least one")
         count = ids.whole_number(threads)
         if count is None or count < 0:
             raise ValueError(f"threads is {threads!r}: give a whole number from 1 on, or 0 for all processors")
+        self.threads = count or _allowed_threads()
         robot_class = ROBOT_CLASSES[ids.check_robot(robot)]
         self.robot = robot
         self.rules = robot_class.default_rules if rules is None else rules
@@ -95,9 +101,9 @@ class BatchPhysics:
         self._duration = float(model.opt.timestep * self._substeps)
         self._low, self.action_limit = model.actuator_ctrlrange.T.copy()
         self.reference_qpos: Array = model.qpos0.copy()
-        self._batch = Batch(model, nsim=len(dynamics), nthread=count)
+        self._batch = Batch(model, nsim=len(dynamics), nthread=self.threads)
         self._batch.set_models(self._models)
-        self._process = None if count == 1 else os.getpid()  # whose threads they are; the caller's own goes along
+        self._process = None if self.threads == 1 else os.getpid()  # whose threads they are; the caller's own goes along
         _ALIVE.add(self)
         # a row of the batch's state begins with the time, qpos and qvel: one copy takes a whole physics state
         self.states: Array = self._batch.state[:, 1 : 1 + model.nq + model.nv]
@@ -207,6 +213,16 @@ class BatchPhysics:
         unstable: NDArray[np.bool_] = np.asarray(self._bad_states.any(axis=1))[rows]
         self._bad_states[:] = 0
         return unstable
+
+
+def _allowed_threads() -> int:
+    """What `THREADS_VARIABLE` says, or the number of processors that this process may run on: MuJoCo's 0 is all."""
+    told = os.environ.get(THREADS_VARIABLE, "")
+    if told and not (told.isdecimal() and int(told)):
+        raise ValueError(f"{THREADS_VARIABLE} is {told!r}: give a whole number from 1 on, or leave it unset")
+    if told:
+        return int(told)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def checked_actions(actions: NDArray[np.floating[Any]], shape: tuple[int, ...]) -> Array:

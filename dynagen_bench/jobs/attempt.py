@@ -27,6 +27,7 @@ ENVIRONMENT: Final = {
     "VECLIB_MAXIMUM_THREADS": "1",
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
     "JAX_PLATFORMS": "cpu",
+    "DYNAGEN_THREADS": "1",  # of our own physics
     "PYTHONUNBUFFERED": "1",  # a killed job's last words are in its log
     "PYTHONFAULTHANDLER": "1",
 }

@@ -1,6 +1,9 @@
 """Many simulations at once: the bits of single environments, whoever else is in the batch."""
 
 import multiprocessing
+import os
+import subprocess
+import sys
 from multiprocessing.connection import Connection
 
 import gymnasium
@@ -163,6 +166,34 @@ def test_a_forked_process_steps_what_has_no_threads():
     assert ours.recv() == batch.step(np.zeros((2, 3))).rewards.tolist()
     child.join(60)
     assert child.exitcode == 0
+
+
+THREADS = """
+import os, sys
+if sys.argv[1:]:
+    os.sched_setaffinity(0, {int(sys.argv[1])})
+from dynagen_bench.dynamics import Dynamics
+from dynagen_bench.envs import BatchPhysics
+before = len(os.listdir("/proc/self/task"))
+physics = BatchPhysics("Hopper", [Dynamics()] * 4)
+print(physics.threads, 1 + len(os.listdir("/proc/self/task")) - before)  # the caller's own is one of them
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="processes cannot be pinned here")
+def test_threads_are_as_many_as_processors_that_the_process_may_run_on():
+    mine = sorted(os.sched_getaffinity(0))
+    for pin, variable, expected in (([], "", len(mine)), ([f"{mine[-1]}"], "", 1), ([], "1", 1), ([], "3", 3)):
+        environment = {**os.environ, "DYNAGEN_THREADS": variable}
+        told = subprocess.run([sys.executable, "-c", THREADS, *pin], env=environment, capture_output=True, check=True)
+        assert told.stdout.split() == [b"%d" % expected] * 2
+
+
+@pytest.mark.parametrize("given", ["0", "-1", "two"])
+def test_a_variable_that_is_no_number_of_threads_is_refused(given, monkeypatch):
+    monkeypatch.setenv("DYNAGEN_THREADS", given)
+    with pytest.raises(ValueError, match=f"^DYNAGEN_THREADS is '{given}': give a whole number from 1 on, or leave it"):
+        BatchPhysics("Hopper", [Dynamics()])
 
 
 def test_no_dynamics_is_refused():

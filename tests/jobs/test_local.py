@@ -80,7 +80,9 @@ def test_a_job_has_one_thread_one_processor_low_priority_and_no_stdin(tmp_path):
         if processors > 1:  # another runner may be at work: it must not be on the same one
             few = Job("b", "tests.jobs.work:surroundings", {}, ("found.json",), 1)
             run_jobs([few], tmp_path / "few", processes=processors - 1)
-            assert len(json.loads((tmp_path / "few" / "found.json").read_text())["affinity"]) == processors
+            found = json.loads((tmp_path / "few" / "found.json").read_text())
+            assert len(found["affinity"]) == processors
+            assert found["physics_threads"] == 1
 
 
 def test_a_killed_job_is_tried_again_and_one_that_always_fails_stops_no_other(tmp_path):

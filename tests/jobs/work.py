@@ -8,6 +8,9 @@ import sys
 import time
 from pathlib import Path
 
+from dynagen_bench.dynamics import Dynamics
+from dynagen_bench.envs import BatchPhysics
+
 
 def note(journal, *words):
     """Append a line to a file that outlives all processes."""
@@ -42,6 +45,7 @@ def surroundings(scratch, report):
         "affinity": sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None,
         "niceness": os.nice(0),
         "threads": os.environ["OMP_NUM_THREADS"],
+        "physics_threads": BatchPhysics("Hopper", [Dynamics()]).threads,
         "stdin": sys.stdin.read(),
     }
     (scratch / "found.json").write_text(json.dumps(found))
