@@ -24,15 +24,31 @@ class Normalization:
     Attributes:
         mean: (S,) float32.
         std: (S,) float32.
+
+    Raises:
+        ValueError: they are not of one shape (S,).
     """
 
     mean: NDArray[np.float32]
     std: NDArray[np.float32]
 
+    def __post_init__(self) -> None:
+        if self.mean.ndim != 1 or self.mean.shape != self.std.shape:
+            raise ValueError(f"mean has shape {self.mean.shape} and std {self.std.shape}: give both the shape (S,)")
+
     def apply(self, observations: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
-        """(s − mean) / (std + 1e-6) of observations (..., S), float32."""
-        centred = np.asarray(observations, dtype=np.float32) - self.mean
-        return centred / (self.std + np.float32(EPSILON))
+        """(s − mean) / (std + 1e-6) of observations (..., S), float32.
+
+        Raises:
+            ValueError: the observations have another number of elements; NumPy would stretch a single one over all.
+        """
+        given = np.asarray(observations, dtype=np.float32)
+        if given.shape[-1:] != self.mean.shape:
+            raise ValueError(
+                f"normalization is of {len(self.mean)} elements, and observations have shape {given.shape}: give that "
+                "of the same robot's data"
+            )
+        return (given - self.mean) / (self.std + np.float32(EPSILON))
 
 
 def statistics(observations: NDArray[np.floating[Any]], chosen: NDArray[np.bool_]) -> Normalization:

@@ -52,16 +52,12 @@ class WindowSampler:
         """Sample windows of `context` = K steps.
 
         Raises:
-            ValueError: K below 1, data without steps, or a normalisation of another observation.
+            ValueError: K below 1, or data without steps.
         """
         steps = ids.whole_number(context)
         if steps is None or steps < 1:
             raise ValueError(f"context is {context!r}: give a whole number of steps from 1 on")
         self._index = StepIndex(dataset)
-        if normalization.mean.shape != (dataset.state_size,):
-            raise ValueError(
-                f"normalization is of {normalization.mean.shape[0]} elements: {dataset.robot} has {dataset.state_size}"
-            )
         self.dataset = dataset
         self.context = steps
         self.normalization = normalization

@@ -5,7 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynagen_bench.datasets import Normalization, normalization
+from agents.trajectory_transformer.trajectories import TrajectorySampler
+from agents.transitions import TaskSampler
+from dynagen_bench.datasets import Normalization, TransitionSampler, WindowSampler, normalization
+from tests.tiny_data import three_step_episodes
 
 
 def test_by_hand():
@@ -37,6 +40,28 @@ def test_chunks_change_nothing(rows, chunk, seed):
 def test_any_leading_shape_goes_through():
     applied = Normalization(np.zeros(3, np.float32), np.ones(3, np.float32)).apply(np.ones((2, 4, 3)))
     assert applied.shape == (2, 4, 3)
+
+
+SAMPLERS = {
+    "windows": lambda data, normalization: WindowSampler(data, 2, normalization),
+    "transitions": TransitionSampler,
+    "tasks": lambda data, normalization: TaskSampler(data, normalization, 1),
+    "trajectories": lambda data, normalization: TrajectorySampler(data, 2, normalization, 0.9, None),
+}
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("size", [1, 3])
+def test_no_sampler_stretches_a_normalisation_of_other_observations(sampler, size):
+    other = Normalization(np.zeros(size, np.float32), np.ones(size, np.float32))
+    with pytest.raises(ValueError, match=rf"^normalization is of {size} elements, and observations have shape .*2\)"):
+        SAMPLERS[sampler](three_step_episodes(), other).sample(4, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(("mean", "std"), [((2,), (1,)), ((2, 2), (2, 2)), ((), ())])
+def test_a_mean_and_a_deviation_of_each_element(mean, std):
+    with pytest.raises(ValueError, match=r"give both the shape \(S,\)$"):
+        Normalization(np.zeros(mean, np.float32), np.ones(std, np.float32))
 
 
 def test_nothing_to_normalise_by():

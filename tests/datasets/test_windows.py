@@ -142,29 +142,22 @@ def test_fine_tuning_may_sample_test_data_with_train_normalisation():
 
 
 @pytest.mark.parametrize(
-    ("data", "context", "normalization", "message"),
+    ("data", "context", "message"),
     [
-        (three_step_episodes(), 0, PLAIN, "context is 0: give a whole number of steps from 1 on"),
-        (
-            three_step_episodes(),
-            4,
-            Normalization(np.zeros(3, np.float32), np.ones(3, np.float32)),
-            "normalization is of 3 elements: Hopper has 2",
-        ),
+        (three_step_episodes(), 0, "context is 0: give a whole number of steps from 1 on"),
         (
             dataclasses.replace(
                 three_step_episodes(),
                 **{f.name: getattr(three_step_episodes(), f.name)[:0] for f in dataclasses.fields(OfflineDataset)[2:]},
             ),
             4,
-            PLAIN,
             "the train data of Hopper have no steps to sample",
         ),
     ],
 )
-def test_bad_arguments(data, context, normalization, message):
+def test_bad_arguments(data, context, message):
     with pytest.raises(ValueError, match=message):
-        WindowSampler(data, context, normalization)
+        WindowSampler(data, context, PLAIN)
 
 
 @pytest.mark.parametrize("size", [-1, 0, 1.5, None])
