@@ -42,6 +42,11 @@ class DynamicsId:
         return self.split if self.split == "nominal" else f"{self.split}{self.index}"
 
     @property
+    def key(self) -> tuple[int, int, int]:
+        """Numbers of the robot, the split and the dynamics, from which all that is drawn of it is seeded."""
+        return ROBOTS.index(self.robot), tuple(SPLIT_SIZES).index(self.split), self.index
+
+    @property
     def env_id(self) -> str:
         """Gymnasium's id of this dynamics, `Hopper-RandDyn-test3`.
 

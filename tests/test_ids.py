@@ -37,6 +37,7 @@ def test_ids_are_the_frozen_ones():
     assert name.dataset_id == "dynagen/Hopper-RandDyn/test3-v0"
     assert ids.v0_env_id("SlimHumanoid") == "SlimHumanoid-RandDyn-v0"
     assert ids.make_id("Ant", "nominal", 0).label == "nominal"
+    assert (name.key, ids.make_id("Walker", "train", 19).key) == ((1, 1, 3), (0, 0, 19))  # seeds are made of them
 
 
 @pytest.mark.parametrize(

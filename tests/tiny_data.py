@@ -37,8 +37,7 @@ def store_random_policies(
     """Write the files that SAC runs would, of random policies; each depends on the seed and its name alone."""
     snapshots = tuple(snapshots)
     for name in names:
-        key = [seed, list(ids.ROBOTS).index(name.robot), list(ids.SPLIT_SIZES).index(name.split), name.index]
-        rng = np.random.default_rng(key)
+        rng = np.random.default_rng([seed, *name.key])
         policies = {step: random_policy(name.robot, rng) for step in snapshots}
         save_policies(policy_file(name, folder), policies, {"dynamics": name.env_id})
 

@@ -64,11 +64,13 @@ class Episode:
         return float(self.rewards.sum())
 
 
-def reset_seed(name: ids.DynamicsId, snapshot: int, episode: int) -> int:
-    """The 31-bit reset seed of an episode of the data; depends on nothing but its arguments."""
-    split = tuple(ids.SPLIT_SIZES).index(name.split)
-    key = (ids.ROBOTS.index(name.robot), split, name.index, snapshot, episode)
-    return int(np.random.SeedSequence(SEED, spawn_key=key).generate_state(1)[0] >> 1)
+def reset_seed(name: ids.DynamicsId, *numbers: int, seed: int = SEED) -> int:
+    """A reset seed in a dynamics, 31 bits; depends on nothing but its arguments.
+
+    Those of the data have snapshot and episode as numbers, those of an evaluation the episode alone.
+    """
+    sequence = np.random.SeedSequence(seed, spawn_key=(*name.key, *numbers))
+    return int(sequence.generate_state(1)[0] >> 1)
 
 
 def action_noise(seed: int, action_size: int) -> NDArray[np.float64]:

@@ -153,8 +153,7 @@ def train_behaviour_policies(
     """
     from sbx import SAC  # here, so that a worker can set XLA's flags before JAX starts
 
-    key = [settings.seed, ids.ROBOTS.index(name.robot), list(ids.SPLIT_SIZES).index(name.split), name.index]
-    start_sequence, learner_sequence = np.random.SeedSequence(key).spawn(2)
+    start_sequence, learner_sequence = np.random.SeedSequence([settings.seed, *name.key]).spawn(2)
     environments = BatchVecEnv(name, settings.environments, np.random.default_rng(start_sequence))
     model = SAC(
         "MlpPolicy",

@@ -55,10 +55,9 @@ def draw_split(robot: str, split: str, seed: int = SEED) -> list[Dynamics]:
     """
     if ids.check_split(split) == "nominal":
         raise ValueError("split 'nominal' is the unchanged robot: draw 'train' or 'test'")
-    key = (ids.ROBOTS.index(ids.check_robot(robot)), tuple(ids.SPLIT_SIZES).index(split))
     return [
-        draw_dynamics(robot, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*key, index))))
-        for index in range(ids.SPLIT_SIZES[split])
+        draw_dynamics(robot, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=name.key)))
+        for name in ids.dynamics_ids(robot, (split,))
     ]
 
 

@@ -276,7 +276,7 @@ def _drawing(robot: str) -> list[str]:
         rows.append([f"`{parameter.field}`", parameter.unit, f"{parameter.base:g}^r", *ends, f"{count}"])
     docs = attribute_docs(draws)
     order = inspect.cleandoc(draws.draw_dynamics.__doc__ or "").split("\n\n", 1)[1]
-    robot_number, splits = ids.ROBOTS.index(robot), tuple(ids.SPLIT_SIZES)
+    (robot_number, train, _), (_, test, _) = (ids.make_id(robot, split, 0).key for split in ("train", "test"))
     return [
         "## How it was drawn",
         f"A factor is base^r, r ~ Uniform(−{draws.LOG_RANGE:g}, {draws.LOG_RANGE:g}), on the nominal value:",
@@ -284,7 +284,7 @@ def _drawing(robot: str) -> list[str]:
         _prose(f"{order} What MuJoCo derives from masses, inertias and friction is computed anew."),
         _prose(
             f"The draws are those of `numpy.random.SeedSequence({draws.SEED}, spawn_key=({robot_number}, split, "
-            f"index))`, split {splits.index('train')} for train and {splits.index('test')} for test. The entropy "
+            f"index))`, split {train} for train and {test} for test. The entropy "
             f"{draws.SEED} is {docs['SEED'].partition(': ')[2]} {docs['DECIMALS']}"
         ),
         f"```bash\ndynagen dynamics show {robot} test3  # every value of one dynamics\n"

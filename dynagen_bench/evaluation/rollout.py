@@ -18,6 +18,7 @@ import rich.progress
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
+from dynagen_bench.collection.episodes import reset_seed
 from dynagen_bench.dynamics import Dynamics, load_dynamics
 from dynagen_bench.envs import HORIZON, BatchPhysics
 from dynagen_bench.evaluation.policy import Policy, RewardAware
@@ -54,13 +55,8 @@ def reset_seeds(
     if start is None or start < 0:  # of None NumPy would make another seed each time
         raise ValueError(f"seed is {seed!r}: give a whole number from 0 on")
     names = [ids.make_id(robot, split, index) for index in indices]
-    splits = tuple(ids.SPLIT_SIZES)
-    seeds = np.zeros((len(names), count), dtype=np.int64)
-    for row, name in enumerate(names):
-        for episode in range(count):
-            key = (ids.ROBOTS.index(robot), splits.index(split), name.index, episode)
-            seeds[row, episode] = np.random.SeedSequence(start, spawn_key=key).generate_state(1)[0] >> 1
-    return seeds
+    seeds = [[reset_seed(name, episode, seed=start) for episode in range(count)] for name in names]
+    return np.array(seeds, dtype=np.int64).reshape(len(names), count)
 
 
 def evaluate(
