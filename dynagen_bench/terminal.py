@@ -1,16 +1,20 @@
-"""What every command line does alike: tables on standard output, and a mistake in one line.
+"""What every command line does alike: tables on standard output, progress and mistakes on the error stream.
 
-What is here: `print_table` and `one_line_errors`. Called by the command lines. It must not know what a table says.
+What is here: `print_table` and `one_line_errors`, called by the command lines; `track`, called by what takes more than
+a moment. It must not know what a table says, nor what is counted.
 """
 
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
-from typing import Final
+from collections.abc import Iterable, Iterator
+from typing import Final, TypeVar
 
 import rich.console
+import rich.progress
 import rich.table
+
+Item = TypeVar("Item")
 
 UNBOUNDED: Final = 1000
 """Columns of what has no edge, more than any table takes."""
@@ -23,6 +27,12 @@ def print_table(table: rich.table.Table) -> None:
     """Print a table; in a file or a pipe each line whole, however narrow the terminal is that it was started from."""
     # a console's own `is_terminal` is what FORCE_COLOR says, in a pipe too
     rich.console.Console(width=None if sys.stdout.isatty() else UNBOUNDED).print(table)
+
+
+def track(items: Iterable[Item], description: str, total: int, show: bool = True) -> Iterator[Item]:
+    """Yield the items under a progress bar, which is gone when they end or the caller stops asking."""
+    console = rich.console.Console(stderr=True)
+    yield from rich.progress.track(items, description, total=total, console=console, transient=True, disable=not show)
 
 
 @contextlib.contextmanager

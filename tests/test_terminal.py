@@ -9,7 +9,7 @@ import sys
 import pytest
 import rich.table
 
-from dynagen_bench.terminal import one_line_errors, print_table
+from dynagen_bench.terminal import one_line_errors, print_table, track
 
 LONG = ["dynagen/SlimHumanoid-RandDyn/train10-every4-v0", "official"]
 PROGRAM = f"""
@@ -41,6 +41,18 @@ def test_in_a_terminal_it_keeps_within_the_edge() -> None:
     cells = [line.split("│")[1].strip() for line in printed.splitlines() if "│" in line]
     assert "".join(cells) == LONG[0]
     assert max(map(len, printed.splitlines())) <= 30
+
+
+def test_what_is_counted_is_passed_on_under_a_bar_on_the_error_stream(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # else a bar that is gone in the end is not shown at all
+    assert list(track(iter("abc"), "letters", 3)) == ["a", "b", "c"]
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "letters" in shown.err
+    assert list(track("abc", "letters", 3, show=False)) == ["a", "b", "c"]
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("error", [ValueError, OSError, FileNotFoundError, KeyError, RuntimeError])

@@ -4,7 +4,6 @@ What is here: the files of `OfflineDataset`'s arrays, one `.npy` file per array,
 are made from. Called by `load_dataset`. It must not know robots, splits or what is done with the arrays.
 """
 
-import contextlib
 import errno
 import hashlib
 import json
@@ -15,13 +14,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import platformdirs
-import rich.console
-import rich.progress
 from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
 from dynagen_bench.collection.contents import DatasetRecord, read_episodes
 from dynagen_bench.collection.episodes import Episode
+from dynagen_bench.terminal import track
 from dynagen_bench.whole import exclusively, whole_folder
 
 LAYOUT_VERSION: Final = 1
@@ -168,11 +166,8 @@ def _reserve(file: Path) -> None:
 
 def _checked_episodes(sources: Sequence[Source], title: str, progress: bool) -> Iterator[tuple[Source, Episode]]:
     """All episodes in order; those of a dataset come when all of them have been compared with its record."""
-    with _bar(title, sum(source.record.episodes for source in sources), progress) as bar:
-        for source in sources:
-            for episode in _recorded_episodes(source):
-                yield source, episode
-                bar.advance(bar.task_ids[0])
+    every = ((source, episode) for source in sources for episode in _recorded_episodes(source))
+    return track(every, title, sum(source.record.episodes for source in sources), progress)
 
 
 def _recorded_episodes(source: Source) -> list[Episode]:
@@ -188,11 +183,3 @@ def _recorded_episodes(source: Source) -> list[Episode]:
 
 def _damaged(source: Source, reason: str) -> ValueError:
     return ValueError(f"{source.folder} is damaged: {reason}; build it again with `dynagen data build`")
-
-
-@contextlib.contextmanager
-def _bar(title: str, total: int, show: bool) -> Iterator[rich.progress.Progress]:
-    console = rich.console.Console(stderr=True)
-    with rich.progress.Progress(console=console, transient=True, disable=not show) as bar:
-        bar.add_task(title, total=total)
-        yield bar

@@ -103,7 +103,8 @@ class BatchPhysics:
         self.reference_qpos: Array = model.qpos0.copy()
         self._batch = Batch(model, nsim=len(dynamics), nthread=self.threads)
         self._batch.set_models(self._models)
-        self._process = None if self.threads == 1 else os.getpid()  # whose threads they are; the caller's own goes along
+        # whose threads they are; the caller's own goes along
+        self._process = None if self.threads == 1 else os.getpid()
         _ALIVE.add(self)
         # a row of the batch's state begins with the time, qpos and qvel: one copy takes a whole physics state
         self.states: Array = self._batch.state[:, 1 : 1 + model.nq + model.nv]

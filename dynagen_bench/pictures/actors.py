@@ -15,7 +15,7 @@ from dynagen_bench.collection.episodes import action_noise, roll_out
 from dynagen_bench.collection.policies import POLICY_FOLDER, BehaviourPolicy, load_policies, policy_file
 from dynagen_bench.dynamics import load_dynamics
 from dynagen_bench.envs import HORIZON, BatchPhysics
-from dynagen_bench.pictures.bars import track
+from dynagen_bench.terminal import track
 
 TRIALS: Final = 8
 """Episodes that each snapshot gets when the best is chosen. Its learning curve would cost nothing, but is a mean over

@@ -21,8 +21,8 @@ from dynagen_bench.dynamics import compile_nominal, load_dynamics
 from dynagen_bench.envs import HORIZON, ROBOT_CLASSES, BatchPhysics
 from dynagen_bench.pictures.actors import best_snapshot, smooth_actions, stored_snapshots
 from dynagen_bench.pictures.backend import choose_backend
-from dynagen_bench.pictures.bars import track
 from dynagen_bench.pictures.frames import INK, check_pixels, frame_of, open_robot
+from dynagen_bench.terminal import track
 from dynagen_bench.whole import check_writable, whole_file
 
 LABELS: Final = ("nominal", "test0", "test1", "test2", "test3", "test4")

@@ -20,8 +20,8 @@ from dynagen_bench.collection.policies import POLICY_FOLDER
 from dynagen_bench.envs import HORIZON
 from dynagen_bench.pictures.actors import Act, choose_actor
 from dynagen_bench.pictures.backend import require
-from dynagen_bench.pictures.bars import track
 from dynagen_bench.pictures.frames import add_caption, open_robot
+from dynagen_bench.terminal import track
 from dynagen_bench.whole import whole_file
 
 FRAME_RATES: Final = {".mp4": 60.0, ".gif": 25.0}
