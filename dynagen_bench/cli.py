@@ -109,7 +109,8 @@ def render(
         robot: Walker, Hopper, HalfCheetah, SlimHumanoid or Ant.
         label: train0 to train19, test0 to test4, or nominal.
         output: the file, .mp4 or .gif.
-        policy: best (the behaviour policy that returns most), a snapshot's steps as 1000000, random or zero.
+        policy: best (the snapshot that returns most where it acts without noise), a snapshot's steps as 1000000, random
+            or zero.
         policy_of: act as the behaviour policies of this dynamics, in the body of the other.
         episodes: how many, one after the other.
         seed: the first episode's reset seed; the next one has the next number.

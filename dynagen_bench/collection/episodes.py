@@ -110,14 +110,18 @@ def collect_episodes(
         yield from roll_out(physics, policy, snapshot, seeds)
 
 
-def roll_out(physics: BatchPhysics, policy: BehaviourPolicy, snapshot: int, seeds: list[int]) -> list[Episode]:
+def roll_out(
+    physics: BatchPhysics, policy: BehaviourPolicy, snapshot: int, seeds: list[int], noisy: bool = True
+) -> list[Episode]:
     """Run one episode a seed, simulation i of `physics` from seed i, and return them in order.
+
+    The policy acts with the noise of each seed, as in the data, or without any.
 
     Raises:
         RuntimeError: as `collect_episodes`.
     """
     limit = physics.action_limit
-    noise = np.stack([action_noise(seed, len(limit)) for seed in seeds])  # (N, T, A)
+    noise = np.stack([action_noise(seed, len(limit)) for seed in seeds]) if noisy else None  # (N, T, A)
     running = np.arange(len(seeds))
     first = physics.start(running, [seeding.np_random(seed)[0] for seed in seeds])  # (N, S)
 
@@ -128,7 +132,8 @@ def roll_out(physics: BatchPhysics, policy: BehaviourPolicy, snapshot: int, seed
     terminated = np.zeros(len(seeds), dtype=np.bool_)
     observations[:, 0] = first
     for t in range(HORIZON):
-        actions[running, t] = policy.act(observations[running, t], limit, noise[running, t])
+        drawn = None if noise is None else noise[running, t]
+        actions[running, t] = policy.act(observations[running, t], limit, drawn)
         result = physics.step(actions[running, t], running)
         if result.unstable.any():
             seed = seeds[int(running[result.unstable][0])]

@@ -1,23 +1,21 @@
 """The behaviour policies of the test dynamics as submissions' policies: references that no zero-shot agent can be.
 
-What is here: `SnapshotPolicy`, and the choice of snapshots for the data's own mean and for the best of them. Called by
-`baselines`. It must not know submissions. Each row of an evaluation is told its dynamics, because it is made for it.
+What is here: `SnapshotPolicy`, of the snapshots that made the data or of the best of them. Called by `baselines`. It
+must not know submissions. Each row of an evaluation is told its dynamics, because it is made for it.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
+from dynagen_bench.collection.best import CHOICE_SEED, best_snapshot
 from dynagen_bench.collection.episodes import action_noise
 from dynagen_bench.collection.policies import POLICY_FOLDER, BehaviourPolicy, load_policies, policy_file
-from dynagen_bench.evaluation.rollout import EPISODES, action_space, evaluate, reset_seeds
-
-CHOICE_SEED: Final = 1
-"""Seed of the evaluation that the best snapshot is chosen by: other episodes than the official ones."""
+from dynagen_bench.evaluation.rollout import EPISODES, action_space, reset_seeds
 
 
 class SnapshotPolicy:
@@ -63,24 +61,11 @@ def behaviour_policy(robot: str, seed: int, folder: Path = POLICY_FOLDER) -> Sna
 def best_policy(robot: str, folder: Path = POLICY_FOLDER) -> SnapshotPolicy:
     """The best snapshot of each test dynamics, for the official evaluation, deterministic.
 
-    Each snapshot acts in ten episodes of its own, none of them official; that of the highest mean return is the best,
-    and of two the earlier.
+    Chosen by `best_snapshot`, in episodes none of which is official.
     """
     rows = []
-    for index, snapshots in enumerate(snapshots_of_tests(robot, folder)):
-        stored = list(snapshots.values())
-        trial = SnapshotPolicy(robot, [policy for policy in stored for _ in range(EPISODES)])
-        found = evaluate(
-            trial,
-            robot,
-            indices=[index],
-            episodes=len(stored) * EPISODES,
-            seed=CHOICE_SEED,
-            traces=False,
-            progress=True,
-        )
-        best = int(found.returns.reshape(len(stored), EPISODES).mean(axis=1).argmax())
-        rows += [stored[best]] * EPISODES
+    for name, snapshots in zip(ids.dynamics_ids(robot, ("test",)), snapshots_of_tests(robot, folder), strict=True):
+        rows += [snapshots[best_snapshot(name, snapshots)]] * EPISODES
     return SnapshotPolicy(robot, rows)
 
 

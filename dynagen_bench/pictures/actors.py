@@ -3,23 +3,18 @@
 What is here: the choice by name. Called by videos and strips. It must not know frames or files of pictures.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
-from dynagen_bench.collection.episodes import action_noise, roll_out
+from dynagen_bench.collection.best import best_snapshot
+from dynagen_bench.collection.episodes import action_noise
 from dynagen_bench.collection.policies import POLICY_FOLDER, BehaviourPolicy, load_policies, policy_file
-from dynagen_bench.dynamics import load_dynamics
-from dynagen_bench.envs import HORIZON, BatchPhysics
-from dynagen_bench.terminal import track
-
-TRIALS: Final = 8
-"""Episodes that each snapshot gets when the best is chosen. Its learning curve would cost nothing, but is a mean over
-policies that were still changing."""
+from dynagen_bench.envs import HORIZON
 
 Act = Callable[[NDArray[np.float64], int], NDArray[np.float32]]
 """Action (A,) for an observation (S,) at step t."""
@@ -38,7 +33,8 @@ def choose_actor(
     """The actor of this name.
 
     Args:
-        policy: `zero`, `random`, `best`, or the environment steps of a stored snapshot, `1000000`.
+        policy: `zero`, `random`, `best` (`best_snapshot` of the stored ones), or the environment steps of a stored
+            snapshot, `1000000`.
         name: the dynamics whose behaviour policies are meant.
         limit: (A,), the action space is ± this.
         folder: where the policies are.
@@ -73,19 +69,6 @@ def stored_snapshots(name: ids.DynamicsId, folder: Path = POLICY_FOLDER) -> dict
         return load_policies(policy_file(name, folder))[0]
     except FileNotFoundError as missing:
         raise FileNotFoundError(f"{missing}, or take --policy random or zero") from None
-
-
-def best_snapshot(name: ids.DynamicsId, snapshots: Mapping[int, BehaviourPolicy]) -> int:
-    """The snapshot of the highest mean return in its own dynamics, the earlier of two equal ones.
-
-    Each has `TRIALS` stochastic episodes, of reset seeds 0, 1, ...: a few seconds in all, with a progress bar.
-    """
-    physics = BatchPhysics(name.robot, [load_dynamics(name.robot, name.split, name.index)] * TRIALS)
-    means = {
-        step: np.mean([episode.total_reward for episode in roll_out(physics, policy, step, list(range(TRIALS)))])
-        for step, policy in track(snapshots.items(), f"{name.env_id}: best snapshot", len(snapshots))
-    }
-    return max(means, key=lambda step: means[step])
 
 
 def random_actions(seed: int, limit: NDArray[np.floating[Any]]) -> NDArray[np.float32]:

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from dynagen_bench import ids
+from dynagen_bench.collection.best import best_snapshot
 from dynagen_bench.collection.episodes import roll_out
 from dynagen_bench.collection.policies import POLICY_FOLDER, policy_file
 from dynagen_bench.dynamics import compile_nominal, load_dynamics
 from dynagen_bench.envs import HORIZON, ROBOT_CLASSES, BatchPhysics
-from dynagen_bench.pictures.actors import best_snapshot, smooth_actions, stored_snapshots
+from dynagen_bench.pictures.actors import smooth_actions, stored_snapshots
 from dynagen_bench.pictures.backend import choose_backend
 from dynagen_bench.pictures.frames import INK, check_pixels, frame_of, open_robot
 from dynagen_bench.terminal import track
