@@ -139,7 +139,7 @@ def roll_out(
             seed = seeds[int(running[result.unstable][0])]
             raise RuntimeError(
                 f"{physics.robot}: MuJoCo reports a bad state at step {t} of the episode of reset seed {seed}, "
-                f"snapshot {snapshot}: the dataset is not written"
+                f"snapshot {snapshot}: nothing is made of such an episode"
             )
         observations[running, t + 1] = result.observations
         rewards[running, t] = result.rewards

@@ -23,14 +23,14 @@ import dataclasses
 import warnings
 from collections.abc import Sequence
 from importlib.metadata import version
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
 from dynagen_bench.collection.contents import DatasetRecord, dataset_folder, read_record
-from dynagen_bench.datasets.flat_files import Source, cache_folder, map_arrays
+from dynagen_bench.datasets.flat_files import LAYOUT, ROW_ARRAYS, Source, cache_folder, map_arrays
 from dynagen_bench.datasets.normalization import Normalization, statistics
 from dynagen_bench.datasets.subsets import (
     ADAPTATION_EPISODES,
@@ -39,13 +39,6 @@ from dynagen_bench.datasets.subsets import (
     spread_episodes,
     worst_episodes,
 )
-
-_DTYPES: Final[dict[str, type]] = {
-    **dict.fromkeys(("observations", "actions", "rewards", "returns_to_go"), np.float32),
-    **dict.fromkeys((f"episode_{what}" for what in ("starts", "lengths", "dynamics", "snapshots", "seeds")), np.int64),
-    "episode_returns": np.float64,
-    "episode_terminated": np.bool_,
-}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -89,9 +82,9 @@ class OfflineDataset:
             ValueError: one line, naming the array or the episode.
         """
         for field in dataclasses.fields(self)[2:]:
-            if (kind := getattr(self, field.name).dtype) != _DTYPES[field.name]:
-                raise ValueError(f"{field.name} is of {kind}: give {np.dtype(_DTYPES[field.name])}")
-            model = "episode_lengths" if field.name.startswith("episode_") else "observations"
+            if (kind := getattr(self, field.name).dtype) != LAYOUT[field.name]:
+                raise ValueError(f"{field.name} is of {kind}: give {np.dtype(LAYOUT[field.name])}")
+            model = "observations" if field.name in ROW_ARRAYS else "episode_lengths"
             found, expected = len(getattr(self, field.name)), len(getattr(self, model))
             if found != expected:
                 raise ValueError(f"{field.name} has {found} rows: {model} has {expected}")
@@ -127,10 +120,14 @@ class OfflineDataset:
 
         Raises:
             ValueError: an episode is asked for twice.
-            IndexError: there is no episode of that number.
+            IndexError: there is no episode of that number; NumPy would count a negative one from the end.
         """
-        fields = [field.name for field in dataclasses.fields(self) if field.name.startswith("episode_")]
-        return dataclasses.replace(self, **{name: getattr(self, name)[episodes] for name in fields})
+        count, asked = len(self.episode_lengths), np.asarray(episodes)
+        outside = asked[(asked < 0) | (asked >= count)]
+        if len(outside):
+            raise IndexError(f"there is no episode {outside[0]}: the data have {count}, numbered from 0")
+        names = [name for name in LAYOUT if name not in ROW_ARRAYS]
+        return dataclasses.replace(self, **{name: getattr(self, name)[episodes] for name in names})
 
     def normalization(self) -> Normalization:
         """Mean and deviation of the observations that an action was taken at (kzl/decision-transformer: all states).

@@ -28,6 +28,14 @@ LAYOUT_VERSION: Final = 1
 ROW_ARRAYS: Final = ("observations", "actions", "rewards", "returns_to_go")
 """Arrays with a row per step, memory-mapped; the others are of an episode each and small."""
 
+LAYOUT: Final[dict[str, type]] = {
+    **dict.fromkeys(ROW_ARRAYS, np.float32),
+    **dict.fromkeys((f"episode_{what}" for what in ("starts", "lengths", "dynamics", "snapshots", "seeds")), np.int64),
+    "episode_returns": np.float64,
+    "episode_terminated": np.bool_,
+}
+"""Every array of `OfflineDataset` and the type of its elements."""
+
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -77,10 +85,7 @@ def _kept_arrays(folder: Path) -> Arrays | None:
 
 
 def _load_arrays(folder: Path) -> Arrays:
-    return {
-        name: np.load(folder / f"{name}.npy", mmap_mode="r" if name in ROW_ARRAYS else None)
-        for name in (*ROW_ARRAYS, *_episode_arrays(0))
-    }
+    return {name: np.load(folder / f"{name}.npy", mmap_mode="r" if name in ROW_ARRAYS else None) for name in LAYOUT}
 
 
 def _key(sources: Sequence[Source]) -> str:
@@ -98,7 +103,7 @@ def _key(sources: Sequence[Source]) -> str:
 def _write_arrays(folder: Path, label: str, sources: Sequence[Source], progress: bool) -> None:
     episodes = sum(source.record.episodes for source in sources)
     rows = sum(source.record.steps for source in sources) + episodes
-    about = _episode_arrays(episodes)
+    about: Arrays = {name: np.zeros(episodes, dtype) for name, dtype in LAYOUT.items() if name not in ROW_ARRAYS}
     arrays: Arrays = {}
     row = number = 0
     for source, episode in _checked_episodes(sources, f"flat arrays of {label}", progress):
@@ -123,22 +128,13 @@ def _write_arrays(folder: Path, label: str, sources: Sequence[Source], progress:
         np.save(folder / f"{name}.npy", values)
 
 
-def _episode_arrays(episodes: int) -> Arrays:
-    integers = ("starts", "lengths", "dynamics", "snapshots", "seeds")
-    return {
-        **{f"episode_{name}": np.zeros(episodes, dtype=np.int64) for name in integers},
-        "episode_returns": np.zeros(episodes, dtype=np.float64),
-        "episode_terminated": np.zeros(episodes, dtype=np.bool_),
-    }
-
-
 def _row_arrays(folder: Path, rows: int, example: Episode) -> Arrays:
     """Files of M zero rows: what is not written stays zero, as the last row of an episode wants it."""
     widths = {"observations": example.observations.shape[1:], "actions": example.actions.shape[1:]}
     arrays: Arrays = {}
     for name in ROW_ARRAYS:
         file = folder / f"{name}.npy"
-        arrays[name] = open_memmap(file, "w+", np.float32, (rows, *widths.get(name, ())))
+        arrays[name] = open_memmap(file, "w+", LAYOUT[name], (rows, *widths.get(name, ())))
         _reserve(file)
     return arrays
 

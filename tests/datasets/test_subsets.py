@@ -173,5 +173,9 @@ def test_episodes_that_share_rows_or_leave_them_are_refused():
     ):
         with pytest.raises(ValueError, match=f"episode {number} begins in row .* leaves the 7 rows, or shares some"):
             dataclasses.replace(data, **change)
-    with pytest.raises(IndexError):
-        data.select(np.array([2]))
+
+
+@pytest.mark.parametrize("number", [-1, 2])
+def test_no_episode_is_taken_for_one_that_is_not_there(number):
+    with pytest.raises(IndexError, match=f"^there is no episode {number}: the data have 2, numbered from 0$"):
+        three_step_episodes().select(np.array([0, number]))
