@@ -73,8 +73,8 @@ def dynamics_draw(robot: Robot, seed: int, count: int = 1) -> None:
         count: how many.
     """
     ids.check_robot(robot)
-    if count < 1 or seed < 0:
-        raise ValueError(f"count is {count} and seed {seed}: give at least 1, and a seed from 0 on")
+    ids.check_count("count", count)
+    ids.check_count("seed", seed, least=0)
     for sequence in np.random.SeedSequence(seed).spawn(count):
         sys.stdout.write(json.dumps(draw_dynamics(robot, np.random.default_rng(sequence)).to_json()) + "\n")
 

@@ -63,11 +63,9 @@ class DynamicsId:
         """Minari's id of the part of the data that has every n-th snapshot, `dynagen/Hopper-RandDyn/test3-every4-v0`.
 
         A part has a name of its own, so that it lies beside the whole and is never taken for it; 1 is the whole. Raises
-        ValueError for what is no such n.
+        ValueError as `check_count` does.
         """
-        number = whole_number(every)
-        if number is None or number < 1:
-            raise ValueError(f"every is {every!r}: give a whole number from 1 on, 4 for one in four snapshots")
+        number = check_count("every", every)
         if number == 1:
             return self.dataset_id
         return f"{NAMESPACE}/{self.robot}-RandDyn/{self.label}-every{number}-v{VERSION}"
@@ -95,6 +93,15 @@ def whole_number(given: Any) -> int | None:
         return None if isinstance(given, bool) else operator.index(given)
     except TypeError:
         return None
+
+
+def check_count(name: str, given: Any, least: int = 1, most: int | None = None) -> int:
+    """Return `given` as a plain int; raise ValueError, which calls it `name`, if it is none from `least` to `most`."""
+    number = whole_number(given)
+    if number is None or number < least or (most is not None and number > most):
+        end = "on" if most is None else f"to {most}"
+        raise ValueError(f"{name} is {given!r}: give a whole number from {least} {end}")
+    return number
 
 
 def check_index(split: str, index: int) -> int:

@@ -31,6 +31,16 @@ def test_what_is_no_whole_number_is_no_index(given):
         ids.check_index("test", given)
 
 
+@pytest.mark.parametrize("given", [None, True, 2.0, "2", 1, 6, np.array([3])])
+def test_a_count_is_a_whole_number_of_a_range(given):
+    with pytest.raises(ValueError, match=r"^shots is .*: give a whole number from 2 to 5$"):
+        ids.check_count("shots", given, least=2, most=5)
+    assert type(ids.check_count("shots", np.int16(5), least=2, most=5)) is int
+    assert ids.check_count("shots", 10**9) == 10**9
+    with pytest.raises(ValueError, match=r"^shots is 0: give a whole number from 1 on$"):
+        ids.check_count("shots", 0)
+
+
 def test_ids_are_the_frozen_ones():
     name = ids.make_id("Hopper", "test", 3)
     assert name.env_id == "Hopper-RandDyn-test3"

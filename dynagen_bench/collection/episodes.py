@@ -97,16 +97,15 @@ def collect_episodes(
         threads: physics threads, as `BatchPhysics` takes them; the episodes are the same at any number.
 
     Raises:
-        ValueError: fewer than one episode a snapshot.
+        ValueError: no whole number of episodes a snapshot, or of threads.
         RuntimeError: MuJoCo reported a bad state; the message has what is needed to see it again. Such an episode is
             never stored.
     """
-    if episodes_per_snapshot < 1:
-        raise ValueError(f"episodes_per_snapshot is {episodes_per_snapshot}: give a whole number from 1 on")
+    count = ids.check_count("episodes_per_snapshot", episodes_per_snapshot)
     dynamics = load_dynamics(name.robot, name.split, name.index)
-    physics = BatchPhysics(name.robot, [dynamics] * episodes_per_snapshot, threads)
+    physics = BatchPhysics(name.robot, [dynamics] * count, threads)
     for snapshot, policy in snapshots.items():
-        seeds = [reset_seed(name, snapshot, episode) for episode in range(episodes_per_snapshot)]
+        seeds = [reset_seed(name, snapshot, episode) for episode in range(count)]
         yield from roll_out(physics, policy, snapshot, seeds)
 
 

@@ -56,9 +56,7 @@ def every_nth(snapshots: Mapping[int, BehaviourPolicy], every: int) -> dict[int,
     Raises:
         ValueError: `every` is not a whole number from 1 to the number of snapshots.
     """
-    step = ids.whole_number(every)
-    if step is None or not 1 <= step <= len(snapshots):
-        raise ValueError(f"every is {every!r}: give a whole number from 1 to {len(snapshots)}, the number of snapshots")
+    step = ids.check_count("every", every, most=len(snapshots))
     return dict(list(snapshots.items())[step - 1 :: step])
 
 
@@ -99,16 +97,15 @@ def build_dataset(
         found = policy_metadata.get("dynamics", "no dynamics named")
         raise ValueError(f"{path} holds policies of {found}, not of {name.env_id}: restore it from the repository")
     chosen = every_nth(snapshots, every)
-    if episodes_per_snapshot < 1:
-        raise ValueError(f"episodes_per_snapshot is {episodes_per_snapshot}: give a whole number from 1 on")
-    recipe = _recipe(name, chosen, episodes_per_snapshot, every)
-    total = len(chosen) * episodes_per_snapshot
+    count = ids.check_count("episodes_per_snapshot", episodes_per_snapshot)
+    recipe = _recipe(name, chosen, count, every)
+    total = len(chosen) * count
     folder = dataset_folder(name.part_id(every))
     with exclusively(folder), _stopped_between() as check_stopped:
         kept = _intact_record(folder, recipe, expected_sha256)
         _ensure_namespace(name.robot)
         if kept is None:
-            episodes = _counted(collect_episodes(name, chosen, episodes_per_snapshot), total, progress)
+            episodes = _counted(collect_episodes(name, chosen, count), total, progress)
             with whole_folder(folder) as unfinished:
                 kept = _write(unfinished, name, recipe, episodes, reference, check_stopped)
     progress(total, total)

@@ -34,7 +34,6 @@ from dynagen_bench.datasets.flat_files import LAYOUT, ROW_ARRAYS, Source, cache_
 from dynagen_bench.datasets.normalization import Normalization, statistics
 from dynagen_bench.datasets.subsets import (
     ADAPTATION_EPISODES,
-    check_episodes,
     check_quality,
     spread_episodes,
     worst_episodes,
@@ -235,7 +234,7 @@ def load_adaptation(
         FileNotFoundError: a dataset is missing; the message has the command that makes it.
     """
     ids.make_id(robot, split, index)
-    check_episodes(episodes)  # before arrays are made
+    ids.check_count("episodes", episodes)  # before arrays are made
     data = load_dataset(robot, split, every=every, progress=progress)
     numbers = np.flatnonzero(data.episode_dynamics == index)
     return data.select(numbers[spread_episodes(data.episode_returns[numbers], episodes)])

@@ -43,10 +43,7 @@ class StepIndex:
         Raises:
             ValueError: the batch size is no whole number from 1 on.
         """
-        size = ids.whole_number(batch_size)
-        if size is None or size < 1:
-            raise ValueError(f"batch_size is {batch_size!r}: give a whole number from 1 on")
-        return rng.integers(int(self.ends[-1]), size=size)
+        return rng.integers(int(self.ends[-1]), size=ids.check_count("batch_size", batch_size))
 
     def find(self, steps: NDArray[np.int64]) -> Places:
         """The places of steps (...); raises ValueError if the data have not so many."""

@@ -1,7 +1,8 @@
 """Which episodes make a part of the data: the worst by return, and some that are spread over all returns.
 
-What is here: the choice, as numbers of episodes. Called by `load_dataset` and `load_adaptation`. It must not know
-arrays of steps, files or splits: a part is a view, made by `OfflineDataset.select`.
+What is here: the choice, as numbers of episodes. Called by `load_dataset` and `load_adaptation`, by data cards, and by
+agents for what they measure. It must not know arrays of steps, files or splits: a part is a view, made by
+`OfflineDataset.select`.
 """
 
 from typing import Any, Final
@@ -9,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dynagen_bench.ids import whole_number
+from dynagen_bench.ids import check_count
 
 ADAPTATION_EPISODES: Final = 10
 """Size of the adaptation set of one test dynamics. The paper takes "a fixed number of samples" of each (section 4), and
@@ -42,15 +43,6 @@ def check_quality(quality: float) -> None:
         raise ValueError(f"quality is {quality!r}: give a share of the episodes, above 0 and at most 1")
 
 
-def check_episodes(count: int, most: int | None = None) -> int:
-    """Return a number of episodes as a plain int; raise ValueError unless it is a whole one from 1 to `most`."""
-    number = whole_number(count)
-    if number is None or number < 1 or (most is not None and number > most):
-        to = "on" if most is None else f"to {most}, all there are"
-        raise ValueError(f"episodes is {count!r}: give a whole number from 1 {to}")
-    return number
-
-
 def spread_episodes(returns: NDArray[np.floating[Any]], count: int) -> NDArray[np.int64]:
     """Numbers of `count` episodes that stand for all qualities, ascending.
 
@@ -64,6 +56,6 @@ def spread_episodes(returns: NDArray[np.floating[Any]], count: int) -> NDArray[n
     Raises:
         ValueError: `count` is no such number.
     """
-    groups = check_episodes(count, len(returns))
+    groups = check_count("episodes", count, most=len(returns))
     ranks = (2 * np.arange(groups) + 1) * len(returns) // (2 * groups)
     return np.sort(np.argsort(returns, kind="stable")[ranks])

@@ -52,14 +52,11 @@ class WindowSampler:
         """Sample windows of `context` = K steps.
 
         Raises:
-            ValueError: K below 1, or data without steps.
+            ValueError: K is no whole number from 1 on, or data without steps.
         """
-        steps = ids.whole_number(context)
-        if steps is None or steps < 1:
-            raise ValueError(f"context is {context!r}: give a whole number of steps from 1 on")
+        self.context = ids.check_count("context", context)
         self._index = StepIndex(dataset)
         self.dataset = dataset
-        self.context = steps
         self.normalization = normalization
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> Windows:

@@ -85,10 +85,7 @@ class BatchPhysics:
         """
         if not dynamics:
             raise ValueError("no dynamics given: a batch needs at least one")
-        count = ids.whole_number(threads)
-        if count is None or count < 0:
-            raise ValueError(f"threads is {threads!r}: give a whole number from 1 on, or 0 for all processors")
-        self.threads = count or _allowed_threads()
+        self.threads = ids.check_count("threads", threads, least=0) or _allowed_threads()
         robot_class = ROBOT_CLASSES[ids.check_robot(robot)]
         self.robot = robot
         self.rules = robot_class.default_rules if rules is None else rules
@@ -218,11 +215,8 @@ class BatchPhysics:
 
 def _allowed_threads() -> int:
     """What `THREADS_VARIABLE` says, or the number of processors that this process may run on: MuJoCo's 0 is all."""
-    told = os.environ.get(THREADS_VARIABLE, "")
-    if told and not (told.isdecimal() and int(told)):
-        raise ValueError(f"{THREADS_VARIABLE} is {told!r}: give a whole number from 1 on, or leave it unset")
-    if told:
-        return int(told)
+    if told := os.environ.get(THREADS_VARIABLE):
+        return ids.check_count(THREADS_VARIABLE, int(told) if told.isdecimal() else told)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

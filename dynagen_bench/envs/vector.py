@@ -98,9 +98,7 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
             TypeError: an unknown keyword, or one that would not act.
         """
         ids.check_robot(robot)
-        count = ids.whole_number(num_envs)
-        if count is None or count < 1:
-            raise ValueError(f"num_envs is {num_envs!r}: give a whole number from 1 on")
+        self.num_envs = num_envs = ids.check_count("num_envs", num_envs)
         steps = ids.whole_number(HORIZON if max_episode_steps is None else max_episode_steps)
         if steps is None or (steps < 1 and steps != NO_LIMIT):
             raise ValueError(
@@ -113,7 +111,6 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         if autoreset_mode not in (*AutoresetMode, *modes):
             raise ValueError(f"autoreset_mode is {autoreset_mode!r}: choose from {', '.join(modes)}")
         mode = AutoresetMode(autoreset_mode)
-        self.num_envs = num_envs = count
         own = _as_list(dynamics)
         self._choice = _choose(num_envs, split, index, indices, own)
         self._redraw = own is None and indices is None and index is None

@@ -110,11 +110,12 @@ def baseline_submission(
         folder: where the behaviour policies are stored.
 
     Raises:
-        ValueError: an unknown robot, or one twice, no run, or more runs than a submission may have.
+        ValueError: an unknown robot, none, or one twice, no run, or more runs than a submission may have.
         FileNotFoundError: a robot has no stored behaviour policies.
     """
-    if runs < 1 or not robots:
-        raise ValueError(f"{runs} runs on {len(robots)} robots asked for: give at least 1 of each")
+    runs = ids.check_count("runs", runs)
+    if not robots:
+        raise ValueError(f"no robot is given: name one or more of {', '.join(ids.ROBOTS)}")
     if len({ids.check_robot(robot) for robot in robots}) < len(robots):
         raise ValueError(f"a robot is named twice in {' '.join(robots)}: name each once")
     seeds = 1 if policy in _SEEDLESS else runs

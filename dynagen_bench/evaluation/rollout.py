@@ -49,11 +49,8 @@ def reset_seeds(
     Raises:
         ValueError: an unknown robot, split or index, no episode, or a seed that is no whole number from 0 on.
     """
-    count, start = ids.whole_number(episodes), ids.whole_number(seed)
-    if count is None or count < 1:
-        raise ValueError(f"episodes is {episodes!r}: give a whole number from 1 on, so many in each dynamics")
-    if start is None or start < 0:  # of None NumPy would make another seed each time
-        raise ValueError(f"seed is {seed!r}: give a whole number from 0 on")
+    count = ids.check_count("episodes", episodes)
+    start = ids.check_count("seed", seed, least=0)  # of None NumPy would make another seed each time
     names = [ids.make_id(robot, split, index) for index in indices]
     seeds = [[reset_seed(name, episode, seed=start) for episode in range(count)] for name in names]
     return np.array(seeds, dtype=np.int64).reshape(len(names), count)

@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import Any, Final
 
+from dynagen_bench.ids import check_count
+
 RECORDS: Final = ".jobs"
 """The folder, in the folder of the results, of records, logs and scratch folders."""
 
@@ -62,8 +64,7 @@ class Job:
                 f"job {self.name!r}: outputs are {self.outputs!r}: give at least one path, each once, relative to the "
                 "folder of the results and inside it"
             )
-        if self.total < 1:
-            raise ValueError(f"job {self.name!r}: total is {self.total}: give a whole number from 1 on")
+        check_count(f"job {self.name!r}: total", self.total)
 
     @property
     def key(self) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from dynagen_bench.ids import check_count
 from dynagen_bench.jobs.events import Ended, Executor, Progress
 from dynagen_bench.jobs.job import Job, check_jobs
 from dynagen_bench.jobs.local import LocalProcesses
@@ -64,8 +65,8 @@ def run_jobs(
             wanted, and is not installed or not there.
     """
     check_jobs(jobs)
-    if processes is not None and processes < 1:
-        raise ValueError(f"processes is {processes}: give a whole number from 1 on")
+    if processes is not None:
+        processes = check_count("processes", processes)
     folder = folder.absolute()
     files = {job.key: JobFiles(folder, job) for job in jobs}
     todo = [job for job in jobs if not files[job.key].done()]

@@ -89,10 +89,9 @@ def render_video(
         raise ValueError(f"policy is {policy!r}, which is of no dynamics, and policy_of {policy_of!r}: leave one out")
     if output.suffix not in FRAME_RATES:
         raise ValueError(f"cannot write {output.name!r}: let its name end in {' or '.join(FRAME_RATES)}")
-    if episodes < 1 or not 0.01 <= speed <= 100:
-        raise ValueError(f"episodes is {episodes} and speed {speed:g}: give at least 1, and 0.01 to 100")
-    if seed < 0:
-        raise ValueError(f"seed is {seed}: give a whole number from 0 on")
+    episodes, seed = ids.check_count("episodes", episodes), ids.check_count("seed", seed, least=0)
+    if not 0.01 <= speed <= 100:
+        raise ValueError(f"speed is {speed:g}: give a number from 0.01 to 100")
     if output.suffix == ".mp4":
         require("imageio_ffmpeg", "an mp4")
     env = open_robot(name, width, height)

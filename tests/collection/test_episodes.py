@@ -133,6 +133,7 @@ def test_an_unstable_episode_is_never_returned(tmp_path, monkeypatch):
         roll_out(physics, policy, 100, [5, 6, 7])
 
 
-def test_no_episodes_is_refused():
-    with pytest.raises(ValueError, match="episodes_per_snapshot is 0: give a whole number from 1 on"):
-        next(collect_episodes(ids.make_id("Hopper", "train", 0), tiny_snapshots("Hopper", 1), 0))
+@pytest.mark.parametrize("given", [0, 1.5, True])
+def test_no_number_of_episodes_is_refused(given):
+    with pytest.raises(ValueError, match=f"^episodes_per_snapshot is {given}: give a whole number from 1 on$"):
+        next(collect_episodes(ids.make_id("Hopper", "train", 0), tiny_snapshots("Hopper", 1), given))

@@ -257,8 +257,9 @@ def test_a_part_takes_the_last_of_every_n():
 def test_bad_input_is_one_line(build, tmp_path, tiny_policies):
     with pytest.raises(ValueError, match=r"every is 5: give a whole number from 1 to 4"):
         build(every=5)
-    with pytest.raises(ValueError, match="episodes_per_snapshot is 0: give a whole number from 1 on"):
-        build(episodes_per_snapshot=0)
+    for given in (0, 1.5, True):
+        with pytest.raises(ValueError, match=f"episodes_per_snapshot is {given}: give a whole number from 1 on"):
+            build(episodes_per_snapshot=given)
     with pytest.raises(FileNotFoundError, match=r"no behaviour policies at .* `dynagen collect Hopper test3`"):
         build(policies_folder=tmp_path)
     other = policy_file(NAME, tmp_path)

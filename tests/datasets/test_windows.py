@@ -144,7 +144,7 @@ def test_fine_tuning_may_sample_test_data_with_train_normalisation():
 @pytest.mark.parametrize(
     ("data", "context", "message"),
     [
-        (three_step_episodes(), 0, "context is 0: give a whole number of steps from 1 on"),
+        (three_step_episodes(), 0, "context is 0: give a whole number from 1 on"),
         (
             dataclasses.replace(
                 three_step_episodes(),
@@ -169,7 +169,7 @@ def test_a_batch_is_a_whole_number_of_windows(size):
 
 @pytest.mark.parametrize("context", [2.5, "20", True])
 def test_a_context_is_a_whole_number(context):
-    with pytest.raises(ValueError, match=f"context is {context!r}: give a whole number of steps from 1 on"):
+    with pytest.raises(ValueError, match=f"context is {context!r}: give a whole number from 1 on"):
         WindowSampler(three_step_episodes(), context, PLAIN)
 
 

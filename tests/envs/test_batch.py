@@ -192,7 +192,7 @@ def test_threads_are_as_many_as_processors_that_the_process_may_run_on():
 @pytest.mark.parametrize("given", ["0", "-1", "two"])
 def test_a_variable_that_is_no_number_of_threads_is_refused(given, monkeypatch):
     monkeypatch.setenv("DYNAGEN_THREADS", given)
-    with pytest.raises(ValueError, match=f"^DYNAGEN_THREADS is '{given}': give a whole number from 1 on, or leave it"):
+    with pytest.raises(ValueError, match=f"^DYNAGEN_THREADS is '?{given}'?: give a whole number from 1 on$"):
         BatchPhysics("Hopper", [Dynamics()])
 
 

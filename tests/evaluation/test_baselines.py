@@ -126,8 +126,9 @@ def test_what_cannot_be_submitted_ends_in_one_line_before_any_evaluation(tiny_po
     monkeypatch.setattr(baselines, "evaluate", None)
     for arguments, message in (
         (("random", ["Hoper"]), "did you mean 'Hopper'"),
-        (("random", []), "5 runs on 0 robots"),
-        (("random", ["Ant"], 0), "0 runs on 1 robots"),
+        (("random", []), "no robot is given: name one or more of Walker, "),
+        (("random", ["Ant"], 1.5), "runs is 1.5: give a whole number from 1 on"),
+        (("random", ["Ant"], 0), "runs is 0: give a whole number from 1 on"),
         (("random", ["Hopper", "Hoper"]), "did you mean 'Hopper'"),
         (("random", ["Hopper", "Ant", "Hopper"], 1), "a robot is named twice in Hopper Ant Hopper: name each once"),
         (("random", ["Hopper"], 101), "101 runs asked for: give at most 100, all robots together"),

@@ -51,6 +51,7 @@ PINNED_KEY = "2216fadbfed095be92325d33faeb0e14d66854eab48c9693c51d59f8945e1f16"
         ({"outputs": (".jobs/a",)}, r"relative"),
         ({"outputs": ("",)}, r"relative"),
         ({"total": 0}, r"job 'a': total is 0: give a whole number from 1 on"),
+        ({"total": 2.5}, r"job 'a': total is 2.5: give a whole number from 1 on"),
     ],
 )
 def test_what_is_no_job_is_refused_in_one_line(changes, message):
@@ -64,5 +65,6 @@ def test_jobs_that_would_be_taken_for_one_another_are_refused(tmp_path):
         check_jobs([job(), job(outputs=("c",))])
     with pytest.raises(ValueError, match=r"jobs 'a' and 'b' both make a/b\.txt"):
         run_jobs([job(), job(name="b", arguments={"x": 1})], tmp_path)
-    with pytest.raises(ValueError, match="processes is 0: give a whole number from 1 on"):
-        run_jobs([job()], tmp_path, processes=0)
+    for number in (0, 1.5, True):
+        with pytest.raises(ValueError, match=f"processes is {number}: give a whole number from 1 on"):
+            run_jobs([job()], tmp_path, processes=number)

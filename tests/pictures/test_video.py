@@ -105,8 +105,9 @@ def test_an_mp4_that_is_not_whole_replaces_no_old_one(tmp_path, monkeypatch, wri
     ("change", "message"),
     [
         ({"name": "a.avi"}, "let its name end in .mp4 or .gif"),
-        ({"episodes": 0}, "episodes is 0"),
-        ({"speed": 0.0}, "speed 0"),
+        ({"episodes": 0}, "episodes is 0: give a whole number from 1 on"),
+        ({"episodes": 1.5}, "episodes is 1.5: give a whole number from 1 on"),
+        ({"speed": 0.0}, "speed is 0: give a number from 0.01 to 100"),
         ({"seed": -1, "policy": "zero"}, "seed is -1: give a whole number from 0 on"),
         ({"width": 63}, "an even number from 32 to 2048"),
         ({"label": "test9"}, "from 0 to 4"),
