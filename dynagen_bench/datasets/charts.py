@@ -16,6 +16,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dynagen_bench.svg import drawing, ticks
+
 COLUMNS: Final = 5
 
 WIDTH, HEIGHT, GAP = 176, 100, 26
@@ -50,7 +52,7 @@ STYLE: Final = """
     .area.train, text.train, tspan.train { fill: #58a6ff } .area.test, text.test, tspan.test { fill: #f0883e }
   }
 """
-"""The page has a colour of its own in both schemes: a viewer that takes the other one still shows a readable chart."""
+"""Of a light page and of a dark one."""
 
 
 class Axes(NamedTuple):
@@ -77,9 +79,9 @@ def learning_curves(robot: str, curves: Mapping[str, tuple[Sequence[float], Sequ
     """
     last = max(steps[-1] for steps, _ in curves.values())
     returns = [value for _, values in curves.values() for value in values]
-    ticks = _ticks(min(0.0, *returns), max(returns))
+    marks = ticks(min(0.0, *returns), max(returns))
     x_labels = {0: "0", last / 2: _thousands(last / 2), last: f"{_thousands(last)} steps"}
-    axes = Axes((0, last), (ticks[0], ticks[-1]), x_labels, {tick: f"{tick:g}" for tick in ticks})
+    axes = Axes((0, last), (marks[0], marks[-1]), x_labels, {mark: f"{mark:g}" for mark in marks})
     lines = {label: _path(axes.points(*curve)) for label, curve in curves.items()}
     panels = {}
     for label, (_, values) in curves.items():
@@ -101,8 +103,8 @@ def return_histograms(robot: str, returns: Mapping[str, tuple[NDArray[np.float64
         returns: `train` and `test` → returns (E,) and snapshots (E,) of the episodes.
     """
     everything = np.concatenate([values for values, _ in returns.values()])
-    ticks = _ticks(float(everything.min()), float(everything.max()))
-    edges = np.linspace(ticks[0], ticks[-1], BINS + 1)
+    marks = ticks(float(everything.min()), float(everything.max()))
+    edges = np.linspace(marks[0], marks[-1], BINS + 1)
     shares = {
         split: {int(snapshot): _shares(values[stamps == snapshot], edges) for snapshot in np.unique(stamps)}
         for split, (values, stamps) in returns.items()
@@ -110,8 +112,8 @@ def return_histograms(robot: str, returns: Mapping[str, tuple[NDArray[np.float64
     above, below = (
         1.08 * max((float(share.max()) for share in shares.get(split, {}).values()), default=0.0) for split in SIDES
     )
-    y_labels = {share: f"{100 * abs(share):g} %" for share in _ticks(-below, above) if -below <= share <= above}
-    axes = Axes((ticks[0], ticks[-1]), (-below, above), {tick: f"{tick:g}" for tick in ticks}, y_labels)
+    y_labels = {share: f"{100 * abs(share):g} %" for share in ticks(-below, above) if -below <= share <= above}
+    axes = Axes((marks[0], marks[-1]), (-below, above), {mark: f"{mark:g}" for mark in marks}, y_labels)
     panels: dict[str, str] = {}
     for split, of_split in shares.items():
         for snapshot, share in sorted(of_split.items()):
@@ -128,16 +130,7 @@ def _chart(title: str, about: str, axes: Axes, panels: Mapping[str, str], shared
     rows = math.ceil(len(panels) / COLUMNS)
     width = LEFT + COLUMNS * WIDTH + (COLUMNS - 1) * GAP // 2 + RIGHT
     height = TOP + rows * HEIGHT + (rows - 1) * GAP + BOTTOM
-    title, about = html.escape(title), html.escape(about)
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" aria-label="{title}">',
-        f"<title>{title}</title>",
-        f"<desc>{about}</desc>",
-        f"<style>{STYLE}</style>",
-        f"<defs>{shared}</defs>",
-        f'<rect class="page" width="{width}" height="{height}" rx="8"/>',
-        f'<text class="title" x="{LEFT}" y="30">{title}</text>',
-        f'<text x="{LEFT}" y="50">{about}</text>',
         f'<text class="end" x="{width - RIGHT}" y="30"><tspan class="train">■ train bodies</tspan>'
         '<tspan class="test" dx="12">■ test bodies</tspan></text>',
     ]
@@ -146,7 +139,7 @@ def _chart(title: str, about: str, axes: Axes, panels: Mapping[str, str], shared
         place = LEFT + column * (WIDTH + GAP // 2), TOP + row * (HEIGHT + GAP)
         lowest = number + COLUMNS >= len(panels)
         parts.append(_panel(name, inside, axes, place, labelled=(lowest, column == 0)))
-    return "\n".join([*parts, "</svg>", ""])
+    return drawing((width, height), title, about, STYLE, parts, heading=(LEFT, 30), shared=shared)
 
 
 def _panel(name: str, inside: str, axes: Axes, place: tuple[int, int], labelled: tuple[bool, bool]) -> str:
@@ -185,14 +178,6 @@ def _path(points: Sequence[tuple[float, float]]) -> str:
 def _shares(returns: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
     """Share of the episodes in each bin, (bins,), of returns (E,)."""
     return np.histogram(returns, edges)[0] / max(1, len(returns))
-
-
-def _ticks(low: float, high: float) -> list[float]:
-    """Round numbers, three to six of them, the outermost of which hold `low` and `high`."""
-    raw = max(high - low, 1e-9) / 4
-    size = 10.0 ** math.floor(math.log10(raw))
-    step = next(size * factor for factor in (1, 2, 2.5, 5, 10) if size * factor >= raw)
-    return [round(step * k, 10) for k in range(math.floor(low / step), math.ceil(high / step) + 1)]
 
 
 def _thousands(steps: float) -> str:

@@ -4,7 +4,6 @@ What is here: histograms of the episodes' returns by dynamics, on one scale a ro
 know HTML or how data are made.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from dynagen_bench import ids
 from dynagen_bench.datasets import OfflineDataset, load_dataset
+from dynagen_bench.svg import ticks
 
 BINS: Final = 60
 
@@ -61,27 +61,18 @@ def load_returns(robot: str) -> dict[str, OfflineDataset]:
 def distributions(datasets: Mapping[str, OfflineDataset]) -> Distributions:
     """Histograms of each dynamics in data of one robot, `train` before `test`."""
     rows: list[Distribution] = []
-    ticks: list[tuple[float, str]] = []
+    labels: list[tuple[float, str]] = []
     if datasets:
         everything = np.concatenate([dataset.episode_returns for dataset in datasets.values()])
-        low, high, step = _range(float(everything.min()), float(everything.max()))
+        marks = ticks(float(everything.min()), float(everything.max()))
+        low, high = marks[0], marks[-1]
         for split, dataset in datasets.items():
             for index in np.unique(dataset.episode_dynamics).tolist():
                 label = ids.make_id(dataset.robot, split, index).label
                 returns = dataset.episode_returns[dataset.episode_dynamics == index]
                 rows.append(_distribution(label, split, returns, low, high))
-        marks = np.arange(low, high + step / 2, step)
-        ticks = [(100 * (mark - low) / (high - low), f"{mark:g}".replace("-", "−")) for mark in marks.tolist()]
-    return Distributions(rows, ticks, [split for split in ("train", "test") if split not in datasets])
-
-
-def _range(low: float, high: float) -> tuple[float, float, float]:
-    """A range of round numbers around the given one, and a round step of 3 to 7 in it."""
-    rough = max(high - low, 1.0) / 4
-    power = 10.0 ** math.floor(math.log10(rough))
-    step = next(power * factor for factor in (1, 2, 5, 10) if power * factor >= rough)
-    first, last = math.floor(low / step), math.ceil(high / step)
-    return step * first, step * max(last, first + 1), step
+        labels = [(100 * (mark - low) / (high - low), f"{mark:g}".replace("-", "−")) for mark in marks]
+    return Distributions(rows, labels, [split for split in ("train", "test") if split not in datasets])
 
 
 def _distribution(label: str, split: str, returns: NDArray[np.float64], low: float, high: float) -> Distribution:

@@ -5,10 +5,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from dynagen_bench.datasets.charts import HEIGHT, WIDTH, Axes, _ticks, learning_curves, return_histograms
+from dynagen_bench.datasets.charts import HEIGHT, WIDTH, Axes, learning_curves, return_histograms
 
 SVG = "{http://www.w3.org/2000/svg}"
 CURVES = {
@@ -78,17 +76,3 @@ def test_charts_have_a_title_and_both_colour_schemes():
         assert "prefers-color-scheme: dark" in root.find(f"{SVG}style").text
         used = {word for item in root.iter() for word in item.get("class", "").split()}
         assert all(f".{word}" in root.find(f"{SVG}style").text for word in used)
-
-
-@given(low=st.floats(-1e4, 1e4), size=st.floats(1e-3, 1e4))
-def test_ticks_are_few_and_hold_the_range(low, size):
-    ticks = _ticks(low, low + size)
-    assert 2 <= len(ticks) <= 6
-    assert ticks[0] <= low + 1e-6 * size
-    assert ticks[-1] >= low + size - 1e-6 * size
-    np.testing.assert_allclose(np.diff(ticks), ticks[1] - ticks[0], rtol=1e-3)
-
-
-def test_ticks_are_round_numbers():
-    assert _ticks(0, 676) == [0, 200, 400, 600, 800]
-    assert _ticks(-37, 12) == [-40, -20, 0, 20]
