@@ -1,7 +1,7 @@
 """Files and folders that appear whole or not at all, whenever a process is killed.
 
-What is here: the right to make a folder, making it, and putting right what a kill has left; making a file. Called by
-everything that writes. It must not know what is in them.
+What is here: the right to make a folder, making it, and putting right what a kill has left; making a file; adding to a
+file of JSON. Called by everything that writes. It must not know what is in them.
 
 Beside a folder `name` there may be, hidden so that no listing of datasets sees them:
 
@@ -13,12 +13,14 @@ Beside a folder `name` there may be, hidden so that no listing of datasets sees 
 import contextlib
 import fcntl
 import glob
+import json
 import os
 import shutil
 import stat
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 
 def check_writable(path: Path) -> None:
@@ -119,6 +121,33 @@ def recover(parent: Path, names: str = "*") -> None:
         _put_back(replaced, parent / replaced.name.removeprefix(".").removesuffix(".replaced"))
     for leftover in [*parent.glob(f".{names}.replaced"), *parent.glob(f".{names}.*unfinished")]:
         shutil.rmtree(leftover, ignore_errors=True)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The JSON object in a file, empty where there is no file.
+
+    Raises:
+        ValueError: the file holds no JSON.
+        TypeError: it holds another value than an object.
+    """
+    if not path.is_file():
+        return {}
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(content, dict):
+        raise TypeError("not a JSON object")
+    return content
+
+
+def update_json(path: Path, entries: Mapping[str, Any]) -> None:
+    """Put entries into a JSON object in a file, sorted by key: the file is the old one or the new one at any moment.
+
+    Raises:
+        ValueError, TypeError: as `read_json`; the file is left alone.
+    """
+    with exclusively(path):  # what another process adds meanwhile would be lost
+        text = json.dumps(dict(sorted({**read_json(path), **entries}.items())), indent=1) + "\n"
+        with whole_file(path) as unfinished:
+            unfinished.write_text(text, encoding="utf-8")
 
 
 def _is_at(path: Path, file: os.stat_result) -> bool:

@@ -1,18 +1,17 @@
 """The manifest: content hashes of the official datasets, and whether one here is official.
 
-What is here: reading, checking and writing `manifest.json`. Called by `dynagen data`. It must not know how data are
-made.
+What is here: reading, checking and writing `manifest.json`. Called by `dynagen data`, also by its checks, downloads and
+data cards. It must not know how data are made.
 """
 
 import dataclasses
-import json
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from dynagen_bench.collection.contents import DatasetRecord
-from dynagen_bench.whole import exclusively, whole_file
+from dynagen_bench.whole import read_json, update_json
 
 RECORDS: Final = Path(__file__).parent
 """The folder of `manifest.json` and `reference_scores.json`, committed in the package."""
@@ -52,7 +51,7 @@ def read_manifest(records: Path = RECORDS) -> dict[str, ManifestEntry]:
         ValueError: the file is no manifest.
     """
     try:
-        return {dataset_id: ManifestEntry(**entry) for dataset_id, entry in _read(manifest_file(records)).items()}
+        return {dataset_id: ManifestEntry(**entry) for dataset_id, entry in read_json(manifest_file(records)).items()}
     except (TypeError, ValueError) as error:
         raise ValueError(
             f"{manifest_file(records)} is no manifest ({error}): restore it from the repository"
@@ -81,20 +80,3 @@ def check_official(dataset_id: str, record: DatasetRecord, entry: ManifestEntry)
         f"{dataset_id} is not the official data: it has {record.episodes} episodes, {record.steps} steps, sha256 "
         f"{record.sha256[:12]}, the manifest {entry.episodes}, {entry.steps}, {entry.sha256[:12]}; {reason}"
     )
-
-
-def _read(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        return {}
-    content = json.loads(path.read_text(encoding="utf-8"))
-    if not isinstance(content, dict):
-        raise TypeError("not a JSON object")
-    return content
-
-
-def update_json(path: Path, entries: Mapping[str, Any]) -> None:
-    """Put entries into a JSON object in a file, sorted by key: the file is the old one or the new one at any moment."""
-    with exclusively(path):  # what another process adds meanwhile would be lost
-        text = json.dumps(dict(sorted({**_read(path), **entries}.items())), indent=1) + "\n"
-        with whole_file(path) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")

@@ -4,7 +4,6 @@ What is here: `reference_scores` and the official score made of them. Called by 
 one committed file; it must not know the data that the file was made from, nor who is scored.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -13,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dynagen_bench import ids
-from dynagen_bench.datasets.manifest import RECORDS, update_json
+from dynagen_bench.whole import read_json, update_json
 
-REFERENCE_FILE: Final = RECORDS / "reference_scores.json"
+REFERENCE_FILE: Final = Path(__file__).with_name("reference_scores.json")
 """robot → label → min, max and mean return of that dynamics' data; made with the data, from all of its snapshots."""
 
 
@@ -37,8 +36,7 @@ def reference_scores(robot: str, file: Path | None = None) -> dict[str, Referenc
     Raises:
         ValueError: an unknown robot, or one whose data have not been made yet.
     """
-    path = REFERENCE_FILE if file is None else file
-    content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    content = read_json(REFERENCE_FILE if file is None else file)
     if ids.check_robot(robot) not in content:
         raise ValueError(
             f"no reference scores for {robot}: make them with its data, `dynagen data build {robot} --write-manifest`"
