@@ -21,7 +21,7 @@ from dynagen_bench.collection.policies import POLICY_FOLDER, policy_file
 from dynagen_bench.datasets.charts import learning_curves, return_histograms
 from dynagen_bench.datasets.flat import OfflineDataset, checked_record, load_dataset
 from dynagen_bench.datasets.flat_files import ROW_ARRAYS
-from dynagen_bench.datasets.manifest import read_manifest
+from dynagen_bench.datasets.manifest import read_manifest, standing
 from dynagen_bench.datasets.scores import Reference
 from dynagen_bench.datasets.subsets import ADAPTATION_EPISODES, spread_episodes, worst_episodes
 from dynagen_bench.markdown import table
@@ -99,7 +99,7 @@ def stored_datasets(robot: str) -> list[Stored]:
     for name in ids.dynamics_ids(robot):
         record, entry = checked_record(name, every=1), manifest.get(name.dataset_id)
         size = sum(file.stat().st_size for file in dataset_folder(name.dataset_id).rglob("*") if file.is_file())
-        official = entry is not None and entry.sha256 == record.sha256
+        official = standing(record, entry) == "official"
         found.append(
             Stored(name.dataset_id, record.episodes, record.steps, size, record.sha256, official, record.mujoco)
         )

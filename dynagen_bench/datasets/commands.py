@@ -24,7 +24,14 @@ from dynagen_bench.collection.policies import POLICY_FOLDER, load_policies, poli
 from dynagen_bench.datasets.checks import check_dataset, check_mujoco
 from dynagen_bench.datasets.downloads import arrival_folder, download_dataset, download_namespaces
 from dynagen_bench.datasets.flat import checked_record
-from dynagen_bench.datasets.manifest import RECORDS, ManifestEntry, add_to_manifest, check_official, read_manifest
+from dynagen_bench.datasets.manifest import (
+    RECORDS,
+    ManifestEntry,
+    add_to_manifest,
+    check_official,
+    read_manifest,
+    standing,
+)
 from dynagen_bench.datasets.publishing import add_to_tree, send_dataset, send_namespaces
 from dynagen_bench.datasets.remotes import connect, namespace_of
 from dynagen_bench.datasets.scores import REFERENCE_FILE, Reference, reference_scores, write_reference_scores
@@ -231,7 +238,7 @@ def publish(
         raise ValueError(f"{output} is no folder: give --output the path of one, or of none yet")
     target = connect(remote) if output is None else None
     found, manifest = _publishable(names, every, unofficial, records), read_manifest(records)
-    official = {key for key, record in found.items() if key in manifest and manifest[key].sha256 == record.sha256}
+    official = {key for key, record in found.items() if standing(record, manifest.get(key)) == "official"}
     if target is None:
         assert output is not None
         with _bars() as bars:
@@ -349,8 +356,6 @@ def _show(found: dict[str, DatasetRecord], records: Path) -> None:
         table.add_column(column, justify="right", no_wrap=True, min_width=7 if column == "steps" else 5)
     table.add_column("content", no_wrap=True, min_width=len("official") + 1)
     for dataset_id, record in found.items():
-        entry = manifest.get(dataset_id)
-        content = "unlisted" if entry is None else "official" if entry.sha256 == record.sha256 else "differs"
         returns = [f"{record.returns[field]:.0f}" for field in ("min", "mean", "max")]
-        table.add_row(dataset_id, f"{record.steps}", *returns, content)
+        table.add_row(dataset_id, f"{record.steps}", *returns, standing(record, manifest.get(dataset_id)))
     print_table(table)

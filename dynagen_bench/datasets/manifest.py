@@ -8,7 +8,7 @@ import dataclasses
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from dynagen_bench.collection.contents import DatasetRecord
 from dynagen_bench.whole import read_json, update_json
@@ -63,13 +63,20 @@ def add_to_manifest(entries: Mapping[str, ManifestEntry], records: Path = RECORD
     update_json(manifest_file(records), {key: dataclasses.asdict(entry) for key, entry in entries.items()})
 
 
+def standing(record: DatasetRecord, entry: ManifestEntry | None) -> Literal["official", "differs", "unlisted"]:
+    """How a dataset stands to its entry in the manifest, or to None where it has none."""
+    if entry is None:
+        return "unlisted"
+    return "official" if record.sha256 == entry.sha256 else "differs"
+
+
 def check_official(dataset_id: str, record: DatasetRecord, entry: ManifestEntry) -> None:
     """Compare a dataset with its entry in the manifest.
 
     Raises:
         ValueError: they differ; the message says how, and what a likely cause is.
     """
-    if record.sha256 == entry.sha256:
+    if standing(record, entry) == "official":
         return
     reason = "the policies, the code or the processor's arithmetic differ from the official ones"
     if record.mujoco != entry.mujoco:

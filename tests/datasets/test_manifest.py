@@ -4,8 +4,11 @@ import threading
 
 import pytest
 
-from dynagen_bench.datasets.manifest import ManifestEntry, add_to_manifest, manifest_file, read_manifest
+from dynagen_bench.collection.contents import DatasetRecord
+from dynagen_bench.datasets.manifest import ManifestEntry, add_to_manifest, manifest_file, read_manifest, standing
 
+RETURNS = {"min": 0.0, "mean": 1.0, "max": 2.0}
+RECIPE = {"dynamics": "Hopper-RandDyn-test0", "every": 1, "mujoco": "4.0.0", "policies": {}}
 ENTRY = ManifestEntry("a" * 64, 1000, 123_456, "4.0.0")
 
 
@@ -18,6 +21,13 @@ def test_entries_are_added_sorted_and_the_others_stay(tmp_path):
     assert read_manifest(tmp_path) == {"a": ENTRY, "b": ENTRY, "c": changed}
     assert list(read_manifest(tmp_path)) == ["a", "b", "c"]
     assert [path.name for path in tmp_path.glob("[!.]*")] == ["manifest.json"]
+
+
+def test_a_dataset_is_official_by_its_content_alone():
+    record = DatasetRecord(RECIPE, ENTRY.sha256, ENTRY.episodes, ENTRY.steps, RETURNS)
+    assert standing(record, ENTRY) == "official"
+    assert standing(record, ManifestEntry("b" * 64, ENTRY.episodes, ENTRY.steps, "4.0.0")) == "differs"
+    assert standing(record, None) == "unlisted"
 
 
 def test_entries_that_several_add_at_once_are_all_kept(tmp_path):
