@@ -149,7 +149,7 @@ def keyword_fields(rules: Rules) -> list[str]:
 
 
 class Reward(NamedTuple):
-    """Terms of a reward, each of the batch's shape; `total` is their sum in this order."""
+    """Terms of a reward, each of the batch's shape; `ctrl` and `contact` are costs, not above 0."""
 
     forward: Values
     survive: Values
@@ -159,7 +159,7 @@ class Reward(NamedTuple):
 
     @property
     def total(self) -> Values:
-        """The reward: forward + survive − control cost − contact cost."""
+        """The reward, (forward + survive) + (ctrl + contact); added in another order it would have other last bits."""
         return self.forward + self.survive + (self.ctrl + self.contact)
 
 
