@@ -8,7 +8,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final
 
 import numpy as np
 import rich.table
@@ -22,7 +22,7 @@ from dynagen_bench.datasets import commands
 from dynagen_bench.datasets.cards import write_data_card
 from dynagen_bench.dynamics import PARAMETERS, draw_dynamics, factor_array, load_dynamics, nominal_robot
 from dynagen_bench.envs.pages import write_page
-from dynagen_bench.evaluation.baselines import baseline_submission
+from dynagen_bench.evaluation.baselines import Baseline, baseline_submission
 from dynagen_bench.evaluation.submission import FILE_NAME, write_submission
 from dynagen_bench.pictures import render_video, write_gallery, write_strip
 from dynagen_bench.terminal import one_line_errors, print_table
@@ -277,7 +277,7 @@ def data_card_page(robot: Robot, output: Path | None = None) -> None:
 def baseline(
     robots: Annotated[list[str], tyro.conf.Positional],
     output: Path,
-    policy: Literal["random", "zero", "behaviour", "expert"] = "random",
+    policy: Baseline = "random",
     runs: int = 5,
 ) -> None:
     """Evaluate a baseline in the test dynamics of robots, and write it as a submission with traces.

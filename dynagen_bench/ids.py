@@ -22,11 +22,6 @@ SPLIT_SIZES: Final = {"train": 20, "test": 5, "nominal": 1}
 NAMESPACE: Final = "dynagen"
 VERSION: Final = 0
 
-_SHORT_ID = re.compile(r"(?P<robot>[A-Za-z]+)-RandDyn-(?P<split>train|test)(?P<index>0|[1-9]\d*)")
-_DATASET_ID = re.compile(
-    rf"{NAMESPACE}/(?P<robot>[A-Za-z]+)-RandDyn/(?P<split>train|test)(?P<index>0|[1-9]\d*)-v{VERSION}"
-)
-
 
 @dataclasses.dataclass(frozen=True, order=True)
 class DynamicsId:
@@ -159,23 +154,6 @@ def parse_label(robot: str, label: str) -> DynamicsId:
     if match is None:
         raise ValueError(f"unknown dynamics {label!r}: write train0 to train19, test0 to test4, or nominal")
     return make_id(robot, match[1], int(match[2]))
-
-
-def parse_env_id(env_id: str) -> DynamicsId:
-    """Parse `Hopper-RandDyn-test3`; raises ValueError if it is not the short id of one dynamics."""
-    return _parse(_SHORT_ID, env_id, "Hopper-RandDyn-test3")
-
-
-def parse_dataset_id(dataset_id: str) -> DynamicsId:
-    """Parse `dynagen/Hopper-RandDyn/test3-v0`; raises ValueError if it is not the id of one of our datasets."""
-    return _parse(_DATASET_ID, dataset_id, "dynagen/Hopper-RandDyn/test3-v0")
-
-
-def _parse(pattern: re.Pattern[str], text: str, example: str) -> DynamicsId:
-    match = pattern.fullmatch(text)
-    if match is None:
-        raise ValueError(f"cannot read the id {text!r}: write it as {example!r}")
-    return make_id(match["robot"], match["split"], int(match["index"]))
 
 
 def dynamics_ids(robot: str, splits: tuple[str, ...] = ("train", "test")) -> Iterator[DynamicsId]:

@@ -20,7 +20,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from dynagen_bench import ids
-from dynagen_bench.collection.policies import BehaviourPolicy, policy_file, save_policies
+from dynagen_bench.collection.policies import LAYERS, BehaviourPolicy, policy_file, save_policies
 from dynagen_bench.collection.settings import SACSettings
 from dynagen_bench.dynamics import load_dynamics
 from dynagen_bench.envs import HORIZON, BatchPhysics
@@ -136,7 +136,7 @@ class _Snapshots(BaseCallback):
 def actor_policy(params: Any) -> BehaviourPolicy:
     """The stored form of an sbx actor's parameters (Flax names its layers Dense_0 to Dense_3, in our order)."""
     layers = params["params"]
-    names = dict(zip(("hidden0", "hidden1", "mean", "log_std"), sorted(layers), strict=True))
+    names = dict(zip(LAYERS, sorted(layers), strict=True))
     return BehaviourPolicy(
         weights={ours: np.asarray(layers[theirs]["kernel"], dtype=np.float16) for ours, theirs in names.items()},
         biases={ours: np.asarray(layers[theirs]["bias"], dtype=np.float16) for ours, theirs in names.items()},

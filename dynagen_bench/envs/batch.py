@@ -115,12 +115,6 @@ class BatchPhysics:
     def __len__(self) -> int:
         return int(self._batch.nsim)
 
-    @property
-    def warnings(self) -> NDArray[np.integer[Any]]:
-        """(N, kinds): how often MuJoCo has warned of each kind of trouble; bad states are told by `step` instead."""
-        counts: NDArray[np.integer[Any]] = self._batch.warning[:, :, 1]
-        return counts
-
     def bind(self, field: str) -> Array:
         """A live, read-only (N, ...) array of a field that MuJoCo derives; a step leaves it one substep behind."""
         derived: Array = self._batch.bind(field)

@@ -64,11 +64,6 @@ NUMBERS: Final = {
 """What to say of the parameters that have more than one number an element."""
 
 
-def page_file(robot: str) -> str:
-    """Name of a robot's page, that of its module: `half_cheetah.md`; raises ValueError for an unknown robot."""
-    return f"{ROBOT_CLASSES[ids.check_robot(robot)].__module__.rpartition('.')[2]}.md"
-
-
 def environment_page(robot: str) -> str:
     """The page of a robot, Markdown; the same text wherever it is written.
 

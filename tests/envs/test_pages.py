@@ -13,11 +13,16 @@ from dynagen_bench import ids
 from dynagen_bench.dynamics import load_dynamics, nominal_robot
 from dynagen_bench.dynamics.draws import DRAWN
 from dynagen_bench.envs import ROBOT_CLASSES, Rules
-from dynagen_bench.envs.pages import attribute_docs, environment_page, page_file, write_page
+from dynagen_bench.envs.pages import attribute_docs, environment_page, write_page
 from dynagen_bench.envs.rules import keyword_fields
 from dynagen_bench.envs.vector import RandomDynamicsVector
 
 FOLDER = Path(__file__).parents[2] / "docs" / "environments"
+
+
+def page_file(robot: str) -> str:
+    """Name of a robot's page, that of its module: `half_cheetah.md`."""
+    return f"{ROBOT_CLASSES[robot].__module__.rpartition('.')[2]}.md"
 
 
 def rows(text: str) -> list[list[str]]:
