@@ -10,18 +10,17 @@ S elements and all steps of a dynamics. The error of a robot is the mean over it
 """
 
 import dataclasses
-from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
-import rich.console
-import rich.progress
 import torch
 from numpy.typing import NDArray
 
 from agents.interface import Predictor
+from dynagen_bench import ids
 from dynagen_bench.datasets import Normalization, OfflineDataset, Windows, WindowSampler
 from dynagen_bench.datasets.subsets import spread_episodes
+from dynagen_bench.terminal import track
 
 EPISODES: Final = 200
 """Of each test dynamics, where no other number is given: a fifth of the data tells what all of them do."""
@@ -92,7 +91,9 @@ def prediction_errors(
     of_window = of_episode[owners]
     squares, still = np.zeros(len(dynamics)), np.zeros(len(dynamics))
     steps = np.zeros(len(dynamics), dtype=np.int64)
-    for part in _batches(len(starts), f"{dataset.robot} next states", progress):
+    firsts = range(0, len(starts), BATCH)
+    for first in track(firsts, f"{dataset.robot} next states", len(firsts), show=progress):
+        part = slice(first, first + BATCH)
         windows = sampler.windows_at(starts[part])
         for total, square in (
             (squares, square_errors(predict(predictor, windows), windows)),
@@ -140,19 +141,9 @@ def tiles(lengths: NDArray[np.int64], context: int) -> tuple[NDArray[np.int64], 
 
 def spread_over(dataset: OfflineDataset, episodes: int) -> NDArray[np.int64]:
     """Numbers of the episodes that are at most `episodes` of each dynamics and stand for all its returns."""
-    if episodes < 1:
-        raise ValueError(f"episodes is {episodes}: give a whole number from 1 on, or leave it out for all")
+    ids.check_count("episodes", episodes)
     chosen = []
     for dynamics in np.unique(dataset.episode_dynamics):
         own = np.flatnonzero(dataset.episode_dynamics == dynamics)
         chosen.append(own[spread_episodes(dataset.episode_returns[own], min(episodes, len(own)))])
     return np.concatenate(chosen)
-
-
-def _batches(windows: int, label: str, progress: bool) -> Iterator[slice]:
-    """Slices of `BATCH` windows, with a progress bar on the error stream."""
-    first = range(0, windows, BATCH)
-    console = rich.console.Console(stderr=True)
-    with rich.progress.Progress(console=console, transient=True, disable=not progress) as bars:
-        for start in bars.track(first, description=label):
-            yield slice(start, start + BATCH)

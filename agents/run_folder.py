@@ -106,9 +106,8 @@ class RunSettings:
     def __post_init__(self) -> None:
         ids.check_robot(self.robot)
         limits = {"seed": 0, "every": 1, "evaluate_every": 0, "checkpoint_every": 1, "log_every": 1, "threads": 0}
-        for field, low in (limits | {"hold_out": 0, "patience": 0}).items():
-            if getattr(self, field) < low:
-                raise ValueError(f"{field} is {getattr(self, field)}: give a whole number from {low} on")
+        for field, least in (limits | {"hold_out": 0, "patience": 0}).items():
+            ids.check_count(field, getattr(self, field), least)
         if self.seed >= 2**63:
             raise ValueError(f"seed is {self.seed}: give a whole number below 2**63")
         if self.checkpoint_every % self.log_every:

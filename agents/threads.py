@@ -5,10 +5,10 @@ What is here: `use_threads`. Called by the command lines, before they compute an
 
 import torch
 
+from dynagen_bench import ids
+
 
 def use_threads(threads: int) -> None:
     """Let torch compute with so many threads; 0 leaves the number to torch. Raises ValueError for one below 0."""
-    if threads < 0:
-        raise ValueError(f"threads is {threads}: give a whole number from 0 on")
-    if threads:
-        torch.set_num_threads(threads)
+    if count := ids.check_count("threads", threads, least=0):
+        torch.set_num_threads(count)

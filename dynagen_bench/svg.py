@@ -1,6 +1,7 @@
 """What every drawing made here has alike: a frame that is readable on a light and on a dark page, and round ticks.
 
-What is here: `drawing` and `ticks`. Called by the charts of data cards and the gallery. It must not know what is drawn.
+What is here: `drawing` and `ticks`. Called by the charts of data cards, the gallery and the results page. It must not
+know what is drawn.
 """
 
 import html

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 from agents import AGENTS
 from agents.summary.charts import Scale, curve_of, line, scale_of
 from agents.summary.intervals import MeanEstimate
+from dynagen_bench import svg
 
 WIDTH, HEIGHT = 560, 240
 """Of the drawing area."""
@@ -108,8 +109,6 @@ def error_bars(robot: str, errors: Mapping[str, MeanEstimate], unchanged: float 
 
 
 def _drawing(title: str, about: str, inside: Sequence[str]) -> Drawing:
-    name, note = html.escape(title), html.escape(about)
-    width, height = LEFT + WIDTH + RIGHT, TOP + HEIGHT + BOTTOM
     light, dark = (
         " ".join(
             f".fill{n} {{ fill: {pair[which]} }} .stroke{n} {{ stroke: {pair[which]} }}"
@@ -117,22 +116,15 @@ def _drawing(title: str, about: str, inside: Sequence[str]) -> Drawing:
         )
         for which in (0, 1)
     )
-    lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" aria-label="{name}">',
-        f"<title>{name}</title>",
-        f"<desc>{note}</desc>",
-        f"<style>{_STYLE}{light} @media (prefers-color-scheme: dark) {{{_DARK}{dark} }}</style>",
-        f'<rect class="page" width="{width}" height="{height}" rx="8"/>',
-        f'<text class="title" x="{LEFT}" y="28">{name}</text>',
-        f'<text x="{LEFT}" y="48">{note}</text>',
+    style = f"{_STYLE}{light} @media (prefers-color-scheme: dark) {{{_DARK}{dark} }}"
+    panel = [
         f'<g transform="translate({LEFT} {TOP})">',
         f'<rect class="panel" width="{WIDTH}" height="{HEIGHT}"/>',
         *inside,
         "</g>",
-        "</svg>",
-        "",
     ]
-    return Drawing(title, "\n".join(lines))
+    size = LEFT + WIDTH + RIGHT, TOP + HEIGHT + BOTTOM
+    return Drawing(title, svg.drawing(size, title, about, style, panel, heading=(LEFT, 28)))
 
 
 def _grid(y: Scale) -> str:

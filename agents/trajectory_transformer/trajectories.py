@@ -73,8 +73,8 @@ class TrajectorySampler:
         return len(self._rewards)
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> Trajectories:
-        """Draw `batch_size` = B trajectories."""
-        return self.at(rng.integers(self.num_steps, size=batch_size))
+        """Draw `batch_size` = B trajectories; raises ValueError as `StepIndex.draw`."""
+        return self.at(self._index.draw(batch_size, rng))
 
     def at(self, steps: NDArray[np.int64]) -> Trajectories:
         """The trajectories that begin at steps (B,), counted through all episodes in order."""

@@ -396,6 +396,8 @@ def test_a_loss_that_overflows_stops_at_its_step_and_keeps_the_last_checkpoint(t
         ({"robot": "hoper"}, "unknown robot 'hoper'.*did you mean 'Hopper'"),
         ({"seed": -1}, "seed is -1: give a whole number from 0 on"),
         ({"seed": 2**63}, r"seed is 9223372036854775808: give a whole number below 2\*\*63"),
+        ({"seed": 1.5}, "seed is 1.5: give a whole number from 0 on"),
+        ({"every": True}, "every is True: give a whole number from 1 on"),
         ({"threads": -1}, "threads is -1: give a whole number from 0 on"),
         ({"checkpoint_every": 5}, "checkpoint_every 5 is no multiple of log_every 2"),
     ],
