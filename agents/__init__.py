@@ -57,7 +57,7 @@ def check_agent(name: str, among: Collection[str]) -> None:
     if name not in among:
         near = difflib.get_close_matches(name.lower(), among, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"no agent {name!r}{hint} Choose one of {', '.join(among)}")
+        raise ValueError(f"unknown agent {name!r}: choose one of {', '.join(among)}{hint}")
 
 
 def load(name: str | Path, robot: str | None = None) -> "Agent":

@@ -250,8 +250,8 @@ def test_what_cannot_be_adapted_is_said_in_one_line(run, spoil, options, message
 
 
 def test_more_episodes_than_there_are_is_refused(run, tiny_data):
-    with pytest.raises(ValueError, match="episodes is 9: give a whole number from 1 to 8"):
-        adapt(run, dataclasses.replace(FAST, episodes=9))
+    with pytest.raises(ValueError, match="episodes is 13: give a whole number from 1 to 12"):
+        adapt(run, dataclasses.replace(FAST, episodes=13))
 
 
 def test_the_papers_values_are_the_defaults():

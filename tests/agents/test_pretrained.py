@@ -72,7 +72,6 @@ def test_what_is_not_there_is_told_in_one_line_with_what_is(run, tmp_path):
     store_run(run, folder=tmp_path)
     for name, robot, message in (
         ("dadt", "Ant", "no stored weights of 'dadt' for 'Ant', stored are dadt-Hopper: make them with"),
-        ("../dadt", "Hopper", "no stored weights of '../dadt'"),
         (
             "dadt",
             None,
@@ -83,6 +82,14 @@ def test_what_is_not_there_is_told_in_one_line_with_what_is(run, tmp_path):
         with pytest.raises(FileNotFoundError, match=message) as caught:
             load_agent(name, robot, tmp_path)
         assert "\n" not in str(caught.value)
+    for name, robot, message in (
+        ("DADT", "Hopper", "unknown agent 'DADT': .*did you mean 'dadt'"),
+        ("dadt", "hopper", "'Hopper'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            load_agent(name, robot, tmp_path)
+    with pytest.raises(ValueError, match=r"unknown agent '\.\./dadt'"):
+        load_agent("../dadt", "Hopper", tmp_path)
 
 
 def test_a_run_whose_files_do_not_belong_together_is_not_stored(run, tmp_path):

@@ -64,7 +64,7 @@ def test_a_run_keeps_its_config_and_its_command():
         (["dt --robot Hoper"], "in 'dt --robot Hoper': unknown robot 'Hoper'.*did you mean 'Hopper'"),
         (["dt --robot Hopper --droput {0,0.1}"], r"'dt --robot Hopper --droput 0' is no command line.*--droput"),
         (["dt --robot Hopper --steps {1,x}"], "'dt --robot Hopper --steps x' is no command line.*invalid literal"),
-        (["{nobody} --robot Hopper"], r"'\{nobody\} --robot Hopper' is no command line"),
+        (["{nobody} --robot Hopper"], r"'\{nobody\} --robot Hopper': unknown agent '.nobody.': choose one of dadt"),
         (["dt --help"], "'dt --help' is no command line"),
         (["dt --robot 'Hopper"], "No closing quotation"),
         (["dt --robot Hopper --name {a,b}"], "--name is the sweep's to choose"),

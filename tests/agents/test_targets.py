@@ -98,7 +98,7 @@ def test_nobody_trains_on_what_is_measured(run):
 def test_what_has_no_target_to_choose_is_said_in_one_line(run, tmp_path, tiny_data):
     with pytest.raises(SystemExit, match=r"^error: no runs given: name at least one run folder$"):
         main([])
-    with pytest.raises(SystemExit, match="is no finished run"):
+    with pytest.raises(SystemExit, match="is no run, but holds some: name these, as"):
         main([str(tmp_path)])
     with pytest.raises(SystemExit, match="target_return is nan: give a finite number"):
         main([str(run), "--targets", "nan"])

@@ -284,7 +284,7 @@ def test_low_quality_data_are_the_worst_episodes_of_all(tiny_data, tmp_path):
     folder = tmp_path / "dt-Hopper-seed0-quality0.3"
     dataset = load_dataset("Hopper", quality=0.3)
     data = json.loads((folder / "config.json").read_text())["data"]
-    assert data == {"episodes": 48, "data_steps": dataset.num_steps}  # of 20 · 8
+    assert data == {"episodes": 72, "data_steps": dataset.num_steps}  # of 20 · 12
     found = load_checkpoint(folder / "last.safetensors").spec.normalization
     assert np.array_equal(found.mean, dataset.normalization().mean)
 

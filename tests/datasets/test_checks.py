@@ -96,7 +96,7 @@ def lose_an_episode(file):
 
 
 def add_an_episode(file):
-    file.copy("episode_3", "episode_8")
+    file.copy("episode_3", "episode_12")
 
 
 def lose_an_array(file):
@@ -145,8 +145,8 @@ def change_the_number(file):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lose_an_episode, "1 of its 8 episodes are missing, the first is episode_3"),
-        (add_an_episode, "it has episode_8 beside its 8 episodes"),
+        (lose_an_episode, "1 of its 12 episodes are missing, the first is episode_3"),
+        (add_an_episode, "it has episode_12 beside its 12 episodes"),
         (lose_an_array, r"it cannot be read, KeyError: .*rewards"),
         (exchange_two_episodes, r"its episodes have sha256 \w{12}, not \w{12}, which it records"),
         (change_the_seed, "its episodes have sha256"),
@@ -178,14 +178,14 @@ def edit(folder, *path, value):
     ("path", "value", "message"),
     [
         (["dataset_id"], "dynagen/Hopper-RandDyn/test2-v0", "its metadata say dataset_id .*test2-v0', not .*test3-v0'"),
-        (["total_episodes"], 7, "its metadata say total_episodes 7, not 8"),
+        (["total_episodes"], 7, "its metadata say total_episodes 7, not 12"),
         (["total_steps"], 1, r"its metadata say total_steps 1, not \d+"),
         (["data_format"], "arrow", "it cannot be read|its metadata say"),
         (["env_spec"], '{"id": "Hopper-v5", "kwargs": {}}', "its environment is not Hopper-RandDyn-test3|it cannot be"),
         (["env_spec"], "{", r"it cannot be read, JSONDecodeError"),
         (["dynagen", "recipe", "dynamics"], "Hopper-RandDyn-test2", "its metadata say dynamics 'Hopper-RandDyn-test2'"),
         (["dynagen", "recipe", "every"], 2, "its metadata say every 2, not 1"),
-        (["dynagen", "recipe", "policies", "200"], "0" * 64, "flags or metadata of episode_2 do not fit"),
+        (["dynagen", "recipe", "policies", "200"], "0" * 64, "flags or metadata of episode_3 do not fit"),
         (["dynagen", "sha256"], "0" * 64, r"its episodes have sha256 \w{12}, not 0{12}"),
         (["dynagen", "returns", "max"], 1000.0, "its returns or number of steps are not those that it records"),
         (["ref_max_score"], 1e6, "its reference scores are not the lowest and the highest of its returns"),
@@ -225,7 +225,7 @@ def test_spaces_of_another_robot(folder):
 
 def test_texts_may_change(folder):
     edit(folder, "description", value="My copy.")
-    assert check_dataset(folder, NAME).episodes == 8
+    assert check_dataset(folder, NAME).episodes == 12
 
 
 def test_another_mujoco(folder, tiny_records):
@@ -258,7 +258,7 @@ def test_verify_names_everything_that_is_wrong(tiny_dataset_root, tiny_records, 
         commands.verify(["Hopper"], records=tiny_records)
     for part in (
         r"train1-v0 is damaged \(its episodes have sha256 \w{12}, not \w{12}, which it records\); ",
-        r"train2-v0 is damaged \(1 of its 8 episodes are missing, the first is episode_3\); ",
+        r"train2-v0 is damaged \(1 of its 12 episodes are missing, the first is episode_3\); ",
         r"test0-v0 was made with MuJoCo 3.3.7, here is 4.0.0: install mujoco==3.3.7, or build the data again",
     ):
         assert re.search(part, str(error.value))

@@ -46,7 +46,7 @@ def test_arrays_hold_the_episodes_in_the_documented_layout(tiny_data):
     number = row = 0
     for index in range(5):
         dataset = minari.load_dataset(f"dynagen/Hopper-RandDyn/test{index}-v0")
-        about = dataset.storage.get_episode_metadata(range(8))
+        about = dataset.storage.get_episode_metadata(range(12))
         for episode, metadata in zip(dataset, about, strict=True):
             length = len(episode.actions)
             assert flat.episode_starts[number] == row
@@ -140,9 +140,9 @@ def test_test_data_in_the_place_of_train_data_are_refused(tiny_data, tmp_path, m
 
 def test_some_dynamics_in_the_order_asked(tiny_data):
     some = load_dataset("Hopper", "train", indices=[7, 3])
-    assert some.episode_dynamics.tolist() == [7] * 8 + [3] * 8
+    assert some.episode_dynamics.tolist() == [7] * 12 + [3] * 12
     whole = load_dataset("Hopper", "train")
-    np.testing.assert_array_equal(some.episode_seeds[8:], whole.episode_seeds[whole.episode_dynamics == 3])
+    np.testing.assert_array_equal(some.episode_seeds[12:], whole.episode_seeds[whole.episode_dynamics == 3])
 
 
 def test_arrays_are_made_once_and_again_when_the_data_change(own_data, tiny_policies):
@@ -367,7 +367,7 @@ def test_plain_minari_reads_the_episodes(tiny_data):
     flat = load_dataset("Hopper", "test")
     dataset = minari.load_dataset("dynagen/Hopper-RandDyn/test1-v0")
     episodes = list(dataset.iterate_episodes())
-    assert len(episodes) == dataset.total_episodes == 8
+    assert len(episodes) == dataset.total_episodes == 12
     for episode, number in zip(episodes, np.flatnonzero(flat.episode_dynamics == 1), strict=True):
         rows = slice(flat.episode_starts[number], flat.episode_starts[number] + flat.episode_lengths[number])
         np.testing.assert_array_equal(episode.actions, flat.actions[rows])

@@ -78,7 +78,7 @@ def test_a_tree_on_another_file_system_is_a_copy(publish, tmp_path, my_root, mon
 def test_a_tree_is_a_root_of_minaris(publish, tmp_path, monkeypatch):
     publish("test3", output=tmp_path / "tree")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "tree"))
-    assert minari.load_dataset(TEST3.dataset_id).total_episodes == 8
+    assert minari.load_dataset(TEST3.dataset_id).total_episodes == 12
 
 
 def test_a_tree_can_be_copied_to_any_remote(remote, publish, tmp_path, tiny_records):

@@ -63,7 +63,7 @@ def test_namespaces_are_minaris_own_after_a_download(remote, publish, download, 
     description = namespace.get_namespace_metadata("dynagen/Hopper-RandDyn")["description"]
     assert description == "Hopper: logged data of 20 train and 5 test dynamics."
     assert namespace.get_namespace_metadata("dynagen") == {}, "what one remote lists is not true here"
-    assert minari.load_dataset(TEST3.dataset_id).total_episodes == 8
+    assert minari.load_dataset(TEST3.dataset_id).total_episodes == 12
 
 
 @pytest.mark.parametrize("address", ["someone/dynagen", "s3://bucket", "hf://", "hf://someone/dynagen", "gcp://a b"])

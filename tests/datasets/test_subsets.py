@@ -69,8 +69,8 @@ def test_bad_count(count):
 
 def test_low_quality_data_are_the_worst_episodes_of_all_train_dynamics_together(tiny_data):
     whole, low = load_dataset("Hopper"), load_dataset("Hopper", quality=0.3)
-    assert len(low.episode_lengths) == round(0.3 * len(whole.episode_lengths)) == 48
-    assert low.episode_returns.max() <= np.sort(whole.episode_returns)[47]
+    assert len(low.episode_lengths) == round(0.3 * len(whole.episode_lengths)) == 72
+    assert low.episode_returns.max() <= np.sort(whole.episode_returns)[71]
     kept = np.isin(whole.episode_seeds, low.episode_seeds)
     np.testing.assert_array_equal(low.episode_seeds, whole.episode_seeds[kept])  # in their old order
     assert low.num_steps == whole.episode_lengths[kept].sum()
@@ -119,10 +119,10 @@ def test_the_adaptation_set_is_of_one_test_dynamics_and_always_the_same(tiny_dat
         assert (chosen.robot, chosen.split) == ("Hopper", "test")
         assert set(chosen.episode_dynamics) == {index}
         assert chosen.episode_seeds.tolist() == load_adaptation("Hopper", index, episodes=4).episode_seeds.tolist()
-        # eight episodes in four groups of two: of each the better one
+        # twelve episodes in four groups of three: of each the middle one
         ranked = np.sort(test.episode_returns[test.episode_dynamics == index])
-        np.testing.assert_array_equal(np.sort(chosen.episode_returns), ranked[1::2])
-    assert len(load_adaptation("Hopper", 0, episodes=8).episode_lengths) == 8
+        np.testing.assert_array_equal(np.sort(chosen.episode_returns), ranked[1::3])
+    assert len(load_adaptation("Hopper", 0, episodes=12).episode_lengths) == 12
 
 
 def test_train_dynamics_have_such_sets_too_by_the_same_rule(tiny_data):
@@ -130,7 +130,7 @@ def test_train_dynamics_have_such_sets_too_by_the_same_rule(tiny_data):
     chosen = load_adaptation("Hopper", 19, split="train", episodes=4)
     assert (chosen.split, set(chosen.episode_dynamics)) == ("train", {19})
     ranked = np.sort(train.episode_returns[train.episode_dynamics == 19])
-    np.testing.assert_array_equal(np.sort(chosen.episode_returns), ranked[1::2])
+    np.testing.assert_array_equal(np.sort(chosen.episode_returns), ranked[1::3])
 
 
 def test_an_adaptation_set_is_sampled_with_the_train_datas_normalisation(tiny_data):
@@ -150,7 +150,7 @@ def test_an_adaptation_set_is_sampled_with_the_train_datas_normalisation(tiny_da
         (lambda: load_adaptation("Hopper", 5), "choose a whole number from 0 to 4"),
         (lambda: load_adaptation("Hopper", 0, split="nominal"), "there are no data of split 'nominal'"),
         (lambda: load_adaptation("Hoper", 0), "did you mean 'Hopper'"),
-        (lambda: load_adaptation("Hopper", 0), "episodes is 10: give a whole number from 1 to 8"),
+        (lambda: load_adaptation("Hopper", 0, episodes=13), "episodes is 13: give a whole number from 1 to 12"),
         (lambda: load_dataset("Hopper", "test", quality=0.3), "quality is of train data, not of split 'test'"),
         (lambda: load_dataset("Hopper", quality=0), "quality is 0: give a share"),
     ],

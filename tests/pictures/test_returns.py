@@ -16,7 +16,7 @@ def test_every_body_with_data_has_a_row():
     assert len(found.rows) == 25
     assert [row.label for row in found.rows][18:21] == ["train18", "train19", "test0"]
     assert found.missing == []
-    assert all("8 episodes" in row.words for row in found.rows)
+    assert all("12 episodes" in row.words for row in found.rows)
 
 
 def test_data_that_are_not_here_are_missing():
