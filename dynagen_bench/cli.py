@@ -290,7 +290,7 @@ def baseline(
         runs: seeds of each robot.
     """
     check_writable(output / FILE_NAME)  # before minutes of work that is to go there
-    write_submission(output, *baseline_submission(policy, robots, runs))
+    print(f"wrote {write_submission(output, *baseline_submission(policy, robots, runs))}")
 
 
 COMMANDS: dict[str, Callable[..., None]] = {

@@ -24,6 +24,11 @@ from minari.storage.datasets_root_dir import get_dataset_path
 from dynagen_bench.collection.episodes import Episode
 
 
+def build_command(robot: str, every: int) -> str:
+    """What makes the datasets of a robot, of one in `every` snapshots, on a machine."""
+    return f"dynagen data build {robot}" + ("" if every == 1 else f" --every {every}")
+
+
 @dataclasses.dataclass(frozen=True)
 class DatasetRecord:
     """What a dataset says of itself.

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynagen_bench import ids
-from dynagen_bench.collection.contents import DatasetRecord, dataset_folder, read_record
+from dynagen_bench.collection.contents import DatasetRecord, build_command, dataset_folder, read_record
 from dynagen_bench.datasets.flat_files import LAYOUT, ROW_ARRAYS, Source, cache_folder, map_arrays
 from dynagen_bench.datasets.normalization import Normalization, statistics
 from dynagen_bench.datasets.subsets import (
@@ -255,7 +255,7 @@ def checked_record(name: ids.DynamicsId, every: int) -> DatasetRecord:
         ValueError: what is there is of other dynamics, or another part.
     """
     folder = dataset_folder(name.part_id(every))
-    command = f"dynagen data build {name.robot}" + ("" if every == 1 else f" --every {every}")
+    command = build_command(name.robot, every)
     try:
         record = read_record(folder)
     except FileNotFoundError:

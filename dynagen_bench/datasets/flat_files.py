@@ -17,7 +17,7 @@ import platformdirs
 from numpy.lib.format import open_memmap
 from numpy.typing import NDArray
 
-from dynagen_bench.collection.contents import DatasetRecord, read_episodes
+from dynagen_bench.collection.contents import DatasetRecord, build_command, read_episodes
 from dynagen_bench.collection.episodes import Episode
 from dynagen_bench.terminal import track
 from dynagen_bench.whole import exclusively, whole_folder
@@ -178,4 +178,6 @@ def _recorded_episodes(source: Source) -> list[Episode]:
 
 
 def _damaged(source: Source, reason: str) -> ValueError:
-    return ValueError(f"{source.folder} is damaged: {reason}; build it again with `dynagen data build`")
+    robot, _, _ = str(source.record.recipe["dynamics"]).partition("-")
+    again = build_command(robot, source.record.recipe["every"])
+    return ValueError(f"{source.folder} is damaged: {reason}; build it again with `{again}`")

@@ -42,7 +42,10 @@ class StepIndex:
 
         Raises:
             ValueError: the batch size is no whole number from 1 on.
+            TypeError: a seed in place of a generator.
         """
+        if not isinstance(rng, np.random.Generator):
+            raise TypeError(f"rng is {rng!r}: give a generator, np.random.default_rng(seed)")
         return rng.integers(int(self.ends[-1]), size=ids.check_count("batch_size", batch_size))
 
     def find(self, steps: NDArray[np.int64]) -> Places:

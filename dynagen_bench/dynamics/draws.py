@@ -38,7 +38,12 @@ def draw_dynamics(robot: str, rng: np.random.Generator) -> Dynamics:
 
     Drawn in the order of `DRAWN`, elements in MuJoCo's order, the floor geom included and the massless world body
     left out. An element whose nominal value is 0 (the damping of a root joint) has a draw that does nothing.
+
+    Raises:
+        TypeError: a seed in place of a generator.
     """
+    if not isinstance(rng, np.random.Generator):
+        raise TypeError(f"rng is {rng!r}: give a generator, np.random.default_rng(seed)")
     drawn: dict[str, dict[str, float]] = {}
     for parameter in DRAWN:
         names = [name for name in nominal_robot(robot).names[parameter.element] if name != "world"]

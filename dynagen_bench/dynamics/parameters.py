@@ -82,10 +82,10 @@ class Dynamics:
             if not isinstance(factors, Mapping):
                 raise ValueError(f"{field} must map element names to factors, got {factors!r}")
             for name, factor in factors.items():
-                number = isinstance(factor, int | float) and not isinstance(factor, bool)
+                number = isinstance(factor, int | float | np.integer | np.floating) and not isinstance(factor, bool)
                 if not number or not 0 < factor <= sys.float_info.max:  # no infinity, no NaN, no int beyond all floats
                     raise ValueError(
-                        f"{field} of {name!r} must be a finite factor above 0, as a plain number, got {factor!r}"
+                        f"{field} of {name!r} must be a finite factor above 0, as a number, got {factor!r}"
                     )
         return cls(**{field: {name: float(f) for name, f in factors.items()} for field, factors in data.items()})
 

@@ -86,7 +86,7 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
             max_episode_steps: steps after which an episode is truncated; None for the benchmark's 200, -1 for no limit,
                 as of `gymnasium.make`.
             autoreset_mode: `NextStep`, `SameStep` or `Disabled`, or Gymnasium's `AutoresetMode`.
-            threads: physics threads, 0 for all processors; the bits are the same at any number.
+            threads: physics threads, 0 for the processors it may use; the bits are the same at any number.
             render_mode: `rgb_array`, `depth_array` or `rgbd_tuple`.
             kwargs: as for the single environment: fields of `Rules` that act in this robot, and Gymnasium's
                 rendering arguments.

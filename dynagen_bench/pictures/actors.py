@@ -1,11 +1,12 @@
-"""Who acts in a picture: a stored behaviour policy as it made the data, random actions, or none.
+"""Who acts in a picture: a stored behaviour policy as it made the data, random actions, none, or a policy of one's own.
 
-What is here: the choice by name. Called by videos and strips. It must not know frames or files of pictures.
+What is here: the choice by name, and `given_actor`. Called by videos and strips. It must not know frames or files of
+pictures.
 """
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,15 @@ from dynagen_bench.collection.episodes import action_noise
 from dynagen_bench.collection.policies import POLICY_FOLDER, BehaviourPolicy, load_policies, policy_file
 from dynagen_bench.envs import HORIZON
 
-Act = Callable[[NDArray[np.float64], int], NDArray[np.float32]]
-"""Action (A,) for an observation (S,) at step t."""
+Act = Callable[[NDArray[np.float64], int, float], NDArray[np.float32]]
+"""Action (A,) for an observation (S,) at step t, and the reward of the step before, 0 at first."""
+
+
+class Predicts(Protocol):
+    """Whoever `dynagen_bench.evaluate` scores, as `agents.load(run).policy()` or a model of Stable-Baselines3."""
+
+    def predict(self, observation: Any, *, state: Any, episode_start: Any, deterministic: bool) -> Any:
+        """Actions (N, A) and the state that the next call is given, for observations (N, S) of N episodes."""
 
 
 class Actor(NamedTuple):
@@ -45,7 +53,7 @@ def choose_actor(
     """
     size = len(limit)
     if policy == "zero":
-        return Actor("no action", lambda seed: lambda observation, t: np.zeros(size, np.float32))
+        return Actor("no action", lambda seed: lambda observation, t, reward: np.zeros(size, np.float32))
     if policy == "random":
         return Actor("random actions", lambda seed: _replay(random_actions(seed, limit)))
     if policy != "best" and not policy.isdecimal():
@@ -57,6 +65,27 @@ def choose_actor(
         raise ValueError(f"{name.env_id} has no snapshot at {step} steps: choose best or one of {known}")
     label = f"policy of {name.label}, {step // 1000}K" if step >= 1000 else f"policy of {name.label}, {step}"
     return Actor(label, lambda seed: _behave(snapshots[step], np.asarray(limit, np.float64), seed))
+
+
+def given_actor(policy: Predicts) -> Actor:
+    """A policy of one's own, called by its class's name; it acts as it does where it is scored, in one episode."""
+
+    def start(seed: int) -> Act:
+        state: Any = None
+
+        def act(observation: NDArray[np.float64], t: int, reward: float) -> NDArray[np.float32]:
+            nonlocal state
+            if t > 0 and hasattr(policy, "observe"):
+                policy.observe(np.array([reward]))
+            actions, state = policy.predict(
+                observation[None], state=state, episode_start=np.array([t == 0]), deterministic=True
+            )
+            action: NDArray[np.float32] = np.asarray(actions, dtype=np.float32)[0]
+            return action
+
+        return act
+
+    return Actor(type(policy).__name__, start)
 
 
 def stored_snapshots(name: ids.DynamicsId, folder: Path = POLICY_FOLDER) -> dict[int, BehaviourPolicy]:
@@ -89,10 +118,10 @@ def smooth_actions(seed: int, limit: NDArray[np.floating[Any]], seconds: float) 
 
 
 def _replay(actions: NDArray[np.float32]) -> Act:
-    return lambda observation, t: actions[t]
+    return lambda observation, t, reward: actions[t]
 
 
 def _behave(policy: BehaviourPolicy, limit: NDArray[np.float64], seed: int) -> Act:
     # the noise of the data's own episode of this reset seed: the same seed gives the same episode
     noise = action_noise(seed, len(limit))
-    return lambda observation, t: policy.act(observation[None], limit, noise[t : t + 1])[0].astype(np.float32)
+    return lambda observation, t, reward: policy.act(observation[None], limit, noise[t : t + 1])[0].astype(np.float32)

@@ -18,7 +18,7 @@ from PIL import Image
 from dynagen_bench import ids
 from dynagen_bench.collection.policies import POLICY_FOLDER
 from dynagen_bench.envs import HORIZON
-from dynagen_bench.pictures.actors import Act, choose_actor
+from dynagen_bench.pictures.actors import Act, Predicts, choose_actor, given_actor
 from dynagen_bench.pictures.backend import require
 from dynagen_bench.pictures.frames import add_caption, open_robot
 from dynagen_bench.terminal import track
@@ -52,7 +52,7 @@ def render_video(
     label: str,
     output: Path,
     *,
-    policy: str = "best",
+    policy: str | Predicts = "best",
     policy_of: str | None = None,
     episodes: int = 1,
     seed: int = 0,
@@ -69,7 +69,8 @@ def render_video(
         robot: name of the robot.
         label: `train0` to `train19`, `test0` to `test4`, or `nominal`.
         output: the file, `.mp4` or `.gif`.
-        policy: `best`, a snapshot's environment steps, `random` or `zero`.
+        policy: `best`, a snapshot's environment steps, `random` or `zero`; or a policy of one's own, that `evaluate`
+            would score, as `agents.load("runs/dadt-Hopper-seed0").policy()`.
         policy_of: the dynamics whose behaviour policies act; those of `label` if not given.
         episodes: how many.
         seed: reset seed of the first episode; the next one has the next number.
@@ -85,7 +86,7 @@ def render_video(
         RuntimeError: the [pictures] extra or a GL backend is missing.
     """
     name, source = ids.parse_label(ids.check_robot(robot), label), ids.parse_label(robot, policy_of or label)
-    if policy_of and policy in ("random", "zero"):
+    if policy_of and (not isinstance(policy, str) or policy in ("random", "zero")):
         raise ValueError(f"policy is {policy!r}, which is of no dynamics, and policy_of {policy_of!r}: leave one out")
     if output.suffix not in FRAME_RATES:
         raise ValueError(f"cannot write {output.name!r}: let its name end in {' or '.join(FRAME_RATES)}")
@@ -97,7 +98,7 @@ def render_video(
     env = open_robot(name, width, height)
     try:
         space: Any = env.action_space
-        actor = choose_actor(policy, source, space.high, folder)
+        actor = choose_actor(policy, source, space.high, folder) if isinstance(policy, str) else given_actor(policy)
         rate = speed * env.metadata["render_fps"]
         stride = max(1, round(rate / FRAME_RATES[output.suffix]))
         count, returns = 0, []
@@ -120,12 +121,13 @@ def _film(
 ) -> tuple[int, float]:
     """Write the frames of one episode: its start, and every `stride` steps; returns their number and the return."""
     observation, _ = env.reset(seed=seed)
-    total = 0.0
+    total = reward = 0.0
     write(_frame(env, words, 0, total))
     frames = 1
     for t in track(range(HORIZON), f"{words[0]}, seed {seed}", HORIZON):
-        observation, reward, terminated, truncated, _ = env.step(act(observation, t))
-        total += float(reward)
+        observation, earned, terminated, truncated, _ = env.step(act(observation, t, reward))
+        reward = float(earned)
+        total += reward
         if (t + 1) % stride == 0:
             write(_frame(env, words, t + 1, total))
             frames += 1

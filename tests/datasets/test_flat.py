@@ -223,7 +223,9 @@ def test_damaged_data_are_refused_and_leave_no_arrays(own_data, damage, message)
     before = folders()
     damage(data_file(NAMES[3]))
     shutil.rmtree(before[0])  # a record that alone has changed does not make arrays again
-    with pytest.raises(ValueError, match=rf"test3-v0 is damaged: {message}; build it again with `dynagen data build`$"):
+    with pytest.raises(
+        ValueError, match=rf"test3-v0 is damaged: {message}; build it again with `dynagen data build Hopper`$"
+    ):
         load_dataset("Hopper", "test")
     assert folders() == []
     own_data()

@@ -187,3 +187,14 @@ def test_keywords_of_gymnasiums_robot_still_work():
         assert not truncated
     assert info["reward_ctrl"] == pytest.approx(-0.5 * 3)
     assert env.step(env.action_space.high)[3]
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+@pytest.mark.parametrize(
+    ("given", "word"), [({"index": 1}, "index 3, got 1"), ({"split": "train"}, "split 'test', got")]
+)
+def test_the_id_of_a_body_is_of_no_other_one(make, given, word):
+    with pytest.raises(ValueError, match=f"Hopper-RandDyn-test3 has {word}.*: leave it out, or make an id with -v0"):
+        make("Hopper-RandDyn-test3", **given)
+    make("Hopper-RandDyn-test3", split="test", index=3).close()
+    make("Hopper-RandDyn-v0", **given).close()

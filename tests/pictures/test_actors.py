@@ -10,20 +10,23 @@ from dynagen_bench import ids
 from dynagen_bench.collection.episodes import roll_out
 from dynagen_bench.dynamics import load_dynamics
 from dynagen_bench.envs import HORIZON, BatchPhysics
-from dynagen_bench.pictures.actors import choose_actor, smooth_actions, stored_snapshots
+from dynagen_bench.evaluation import evaluate
+from dynagen_bench.pictures.actors import Actor, choose_actor, given_actor, smooth_actions, stored_snapshots
 
 NAME = ids.make_id("Hopper", "test", 3)
 LIMIT = np.ones(3)
 
 
-def played(policy: str, seed: int, folder) -> list[float]:
+def played(actor: Actor, seed: int) -> list[float]:
     """Rewards of one episode in `NAME`."""
-    act = choose_actor(policy, NAME, LIMIT, folder).start(seed)
+    act = actor.start(seed)
     env = gymnasium.make(NAME.env_id)
     observation, _ = env.reset(seed=seed)
     rewards, over = [], False
     while not over:
-        observation, reward, terminated, truncated, _ = env.step(act(observation, len(rewards)))
+        observation, reward, terminated, truncated, _ = env.step(
+            act(observation, len(rewards), rewards[-1] if rewards else 0.0)
+        )
         rewards.append(reward)
         over = terminated or truncated
     return rewards
@@ -32,7 +35,7 @@ def played(policy: str, seed: int, folder) -> list[float]:
 def test_a_snapshot_acts_as_it_made_the_data(tiny_policies):
     physics = BatchPhysics("Hopper", [load_dynamics("Hopper", "test", 3)] * 2)
     episodes = roll_out(physics, stored_snapshots(NAME, tiny_policies)[300], 300, [5, 6])
-    assert played("300", 6, tiny_policies) == episodes[1].rewards.tolist()
+    assert played(choose_actor("300", NAME, LIMIT, tiny_policies), 6) == episodes[1].rewards.tolist()
 
 
 def test_the_best_is_the_snapshot_that_the_leaderboards_reference_acts_with():
@@ -40,12 +43,35 @@ def test_the_best_is_the_snapshot_that_the_leaderboards_reference_acts_with():
     assert choose_actor("best", name, LIMIT).label == "policy of test0, 900K"  # with noise 1M returns more
 
 
+class Counting:
+    """Acts by a state that it is given back, by its last reward, and by whether an episode begins."""
+
+    def __init__(self) -> None:
+        self.rewards = np.zeros(1)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        state = np.where(episode_start, 0, 0 if state is None else state) + 1
+        if episode_start.all():
+            self.rewards = np.zeros(len(observation))
+        return np.sin(np.stack([state, observation[:, 1], self.rewards], axis=1)).astype(np.float32), state
+
+    def observe(self, rewards):
+        self.rewards = rewards
+
+
+def test_a_policy_of_ones_own_acts_as_it_is_scored():
+    found = evaluate(Counting(), "Hopper", indices=[3], episodes=2)
+    for seed, expected in zip(found.seeds[0].tolist(), found.returns[0], strict=True):
+        assert sum(played(given_actor(Counting()), seed)) == pytest.approx(expected, abs=1e-9)
+    assert given_actor(Counting()).label == "Counting"
+
+
 def test_zero_and_random_need_no_policies(tmp_path):
-    assert not choose_actor("zero", NAME, LIMIT, tmp_path).start(0)(np.zeros(11), 0).any()
+    assert not choose_actor("zero", NAME, LIMIT, tmp_path).start(0)(np.zeros(11), 0, 0.0).any()
     first, again, other = (choose_actor("random", NAME, LIMIT, tmp_path).start(seed) for seed in (1, 1, 2))
-    assert np.array_equal(first(np.zeros(11), 7), again(np.ones(11), 7))
-    assert not np.array_equal(first(np.zeros(11), 7), other(np.zeros(11), 7))
-    assert not np.array_equal(first(np.zeros(11), 7), first(np.zeros(11), 8))
+    assert np.array_equal(first(np.zeros(11), 7, 0.0), again(np.ones(11), 7, 1.0))
+    assert not np.array_equal(first(np.zeros(11), 7, 0.0), other(np.zeros(11), 7, 0.0))
+    assert not np.array_equal(first(np.zeros(11), 7, 0.0), first(np.zeros(11), 8, 0.0))
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,21 @@ def test_a_gif_lasts_as_long_as_it_is_said_to(tmp_path, robot, speed):
 
 
 @pytest.mark.usefixtures("gl")
+def test_a_policy_of_ones_own_is_filmed(tmp_path):
+    class Still:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return np.zeros((len(observation), 3)), state
+
+    own, told = read(tmp_path / "own.gif", policy=Still())
+    zero, same = read(tmp_path / "zero.gif", policy="zero")
+    assert told.returns == same.returns
+    assert told.actor == "Still"
+    assert own.shape == zero.shape
+    with pytest.raises(ValueError, match=r"policy_of 'test0': leave one out"):
+        read(tmp_path / "other.gif", policy=Still(), policy_of="test0")
+
+
+@pytest.mark.usefixtures("gl")
 def test_the_same_seed_gives_the_same_frames_and_other_dynamics_others(tmp_path):
     first, video = read(tmp_path / "a.gif")
     again, _ = read(tmp_path / "b.gif")
