@@ -270,7 +270,7 @@ def _drawing(robot: str) -> list[str]:
         count = len(_varied(robot, parameter))
         rows.append([f"`{parameter.field}`", parameter.unit, f"{parameter.base:g}^r", *ends, f"{count}"])
     docs = attribute_docs(draws)
-    order = inspect.cleandoc(draws.draw_dynamics.__doc__ or "").split("\n\n", 1)[1]
+    order = inspect.cleandoc(draws.draw_dynamics.__doc__ or "").split("\n\n")[1]
     (robot_number, train, _), (_, test, _) = (ids.make_id(robot, split, 0).key for split in ("train", "test"))
     return [
         "## How it was drawn",
