@@ -203,9 +203,23 @@ class RandomDynamics(MujocoEnv, utils.EzPickle):
         if not stable:
             info["unstable"] = True
         if self.render_mode == "human":
-            self.render()  # type: ignore[no-untyped-call]
+            self.render()
         observation = observe(self.rules, state, len(self._qpos))
         return observation, float(terms.total) if stable else 0.0, bool(terminated), False, info
+
+    def render(self) -> Any:
+        """A frame in the mode that the environment was made with, as Gymnasium's.
+
+        Raises:
+            RuntimeError: no GL library draws here; the message says how to choose one.
+        """
+        try:
+            return super().render()  # type: ignore[no-untyped-call]
+        except mujoco.FatalError as error:
+            raise RuntimeError(
+                f"no frame can be drawn ({error}): where there is no display, set MUJOCO_GL to egl or osmesa before "
+                "Python starts"
+            ) from error
 
     @property
     def is_healthy(self) -> bool:

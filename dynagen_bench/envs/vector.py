@@ -321,7 +321,7 @@ class RandomDynamicsVector(VectorEnv[Array, NDArray[np.floating[Any]], NDArray[A
         # no camera sees a mass, but one that tracks follows the centre of all of them
         apply_dynamics(self._single.robot, self._single.model, self._pool[self._choice[number]])
         self._single.set_state(self.physics.qpos[number], self.physics.qvel[number])  # type: ignore[no-untyped-call]
-        return self._single.render()  # type: ignore[no-untyped-call]
+        return self._single.render()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the renderer."""

@@ -1,6 +1,7 @@
 """Every id of the benchmark makes the environment that it names."""
 
 import math
+import os
 import pickle
 import subprocess
 import sys
@@ -198,3 +199,13 @@ def test_the_id_of_a_body_is_of_no_other_one(make, given, word):
         make("Hopper-RandDyn-test3", **given)
     make("Hopper-RandDyn-test3", split="test", index=3).close()
     make("Hopper-RandDyn-v0", **given).close()
+
+
+def test_without_gl_it_is_said_how_to_choose_one():
+    code = "import gymnasium, dynagen_bench\nenv = gymnasium.make('Hopper-RandDyn-test3', render_mode='rgb_array')\n"
+    code += "env.reset(seed=0)\ntry:\n    env.render()\nexcept RuntimeError as error:\n    print(error)\n"
+    hidden = {name: text for name, text in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=hidden | {"MUJOCO_GL": "glfw"}, capture_output=True, text=True, check=False
+    )
+    assert "where there is no display, set MUJOCO_GL to egl or osmesa before Python starts" in done.stdout
