@@ -42,7 +42,7 @@ from agents import TRAINABLE
 from agents.config import TrainingConfig
 from dynagen_bench import ids
 from dynagen_bench.datasets.subsets import check_quality
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import whole_file, write_whole
 
 _LENGTH: Final = ("steps", "patience")
 """What may end a run earlier or later: it may continue with others."""
@@ -132,8 +132,7 @@ class RunSettings:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON, whole or not at all."""
-    with whole_file(path) as unfinished:
-        unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(content, indent=1) + "\n")
 
 
 def made_of(path: Path, facts: Mapping[str, Any]) -> bool:

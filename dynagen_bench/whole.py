@@ -62,6 +62,12 @@ def whole_file(path: Path) -> Iterator[Path]:
         unfinished.unlink(missing_ok=True)
 
 
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file, text in UTF-8, as `whole_file` does; raises as it."""
+    with whole_file(path) as unfinished:
+        unfinished.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+
+
 @contextlib.contextmanager
 def exclusively(folder: Path) -> Iterator[None]:
     """Be the only process that makes or checks `folder` (or a file); waits until no other one does."""
@@ -123,7 +129,7 @@ def recover(parent: Path, names: str = "*") -> None:
         shutil.rmtree(leftover, ignore_errors=True)
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def stored_json(path: Path) -> dict[str, Any]:
     """The JSON object in a file, empty where there is no file.
 
     Raises:
@@ -142,12 +148,11 @@ def update_json(path: Path, entries: Mapping[str, Any]) -> None:
     """Put entries into a JSON object in a file, sorted by key: the file is the old one or the new one at any moment.
 
     Raises:
-        ValueError, TypeError: as `read_json`; the file is left alone.
+        ValueError, TypeError: as `stored_json`; the file is left alone.
     """
     with exclusively(path):  # what another process adds meanwhile would be lost
-        text = json.dumps(dict(sorted({**read_json(path), **entries}.items())), indent=1) + "\n"
-        with whole_file(path) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
+        text = json.dumps(dict(sorted({**stored_json(path), **entries}.items())), indent=1) + "\n"
+        write_whole(path, text)
 
 
 def _is_at(path: Path, file: os.stat_result) -> bool:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from dynagen_bench.evaluation.submission import FILE_NAME, Submission, trace_content
-from dynagen_bench.whole import exclusively, recover, whole_file, whole_folder
+from dynagen_bench.whole import exclusively, recover, whole_folder, write_whole
 from leaderboard.copies import check_copies
 from leaderboard.entries import (
     FOLDER,
@@ -261,5 +261,4 @@ def _write(board: Path, pages: Mapping[str, bytes | None]) -> None:
         if text is None:
             path.unlink(missing_ok=True)
         elif not path.is_file() or path.read_bytes() != text:
-            with whole_file(path) as unfinished:
-                unfinished.write_bytes(text)
+            write_whole(path, text)

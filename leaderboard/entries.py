@@ -36,7 +36,7 @@ from dynagen_bench.evaluation.submission import (
     submission_text,
     trace_content,
 )
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import write_whole
 
 FOLDER: Final = "entries"
 VERDICT: Final = "verification.json"
@@ -183,11 +183,8 @@ def write_entry(folder: Path, entry: Entry, sources: Sequence[Path]) -> None:
     for run in entry.submission.runs:
         if run.trace is not None:  # one at a time in memory, and compared with its hash again
             source = next((source for source in sources if (source / run.trace_name).is_file()), sources[0])
-            with whole_file(folder / run.trace_name) as unfinished:
-                unfinished.write_bytes(trace_content(source, run))
+            write_whole(folder / run.trace_name, trace_content(source, run))
     if entry.label != "self-reported":
         verdict = Verdict(label=entry.label, submission=_digest(entry.submission))
-        with whole_file(folder / VERDICT) as unfinished:
-            unfinished.write_text(verdict.model_dump_json(indent=1) + "\n", encoding="utf-8")
-    with whole_file(folder / FILE_NAME) as unfinished:
-        unfinished.write_text(submission_text(entry.submission), encoding="utf-8")
+        write_whole(folder / VERDICT, verdict.model_dump_json(indent=1) + "\n")
+    write_whole(folder / FILE_NAME, submission_text(entry.submission))

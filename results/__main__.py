@@ -6,7 +6,7 @@ from typing import Annotated
 import tyro
 
 from dynagen_bench.terminal import one_line_errors
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import write_whole
 from results.kept import REFERENCE, keep, keep_compute
 from results.page import DRAWINGS, pages
 
@@ -56,8 +56,7 @@ def _build(check: tyro.conf.FlagCreatePairsOff[bool] = False) -> None:
             continue
         if check:
             raise ValueError(f"{path} is stale: run `python -m results build`")
-        with whole_file(path) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
+        write_whole(path, text)
         print(f"wrote {path}")
 
 

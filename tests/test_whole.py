@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from dynagen_bench.whole import check_writable, exclusively, read_json, recover, update_json, whole_file, whole_folder
+from dynagen_bench.whole import check_writable, exclusively, recover, stored_json, update_json, whole_file, whole_folder
 
 
 def begin_and_stop(folder):
@@ -288,10 +288,10 @@ def test_the_file_that_a_link_names_is_written(tmp_path, there):
 
 def test_entries_join_a_json_file_sorted_and_what_is_no_object_is_left_alone(tmp_path):
     file = tmp_path / "deep" / "scores.json"
-    assert read_json(file) == {}
+    assert stored_json(file) == {}
     for entries in ({"b": 1, "c": 2}, {"a": 0, "c": [3]}):
         update_json(file, entries)
-    assert list(read_json(file).items()) == [("a", 0), ("b", 1), ("c", [3])]
+    assert list(stored_json(file).items()) == [("a", 0), ("b", 1), ("c", [3])]
     for text, error in (("[]", TypeError), ("{", ValueError)):
         file.write_text(text)
         with pytest.raises(error):

@@ -15,7 +15,7 @@ from agents.summary.intervals import MeanEstimate, mean_estimate
 from agents.summary.runs import Group, Run, grouped, read_runs
 from dynagen_bench import ids
 from dynagen_bench.html import look, render, style_and_script
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import write_whole
 
 
 class Metric(NamedTuple):
@@ -88,8 +88,7 @@ def write_summary(runs: Path, output: Path) -> Path:
         ValueError: a run folder holds what training does not write.
     """
     page = summary_page(read_runs(runs))
-    with whole_file(output) as unfinished:
-        unfinished.write_text(page, encoding="utf-8")
+    write_whole(output, page)
     return output
 
 

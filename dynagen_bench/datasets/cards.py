@@ -25,7 +25,7 @@ from dynagen_bench.datasets.manifest import read_manifest, standing
 from dynagen_bench.datasets.scores import Reference
 from dynagen_bench.datasets.subsets import ADAPTATION_EPISODES, spread_episodes, worst_episodes
 from dynagen_bench.markdown import table
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import write_whole
 
 LICENCE: Final = "MIT, as everything in the repository"
 
@@ -143,8 +143,7 @@ def write_data_card(robot: str, output: Path | None = None) -> None:
         output.name: card,
     }
     for name, text in texts.items():
-        with whole_file(output.with_name(name)) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
+        write_whole(output.with_name(name), text)
 
 
 def chart_file(robot: str, chart: str) -> str:

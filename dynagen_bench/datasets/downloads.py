@@ -21,7 +21,7 @@ from dynagen_bench.collection.contents import DatasetRecord, dataset_folder
 from dynagen_bench.datasets.checks import check_dataset
 from dynagen_bench.datasets.manifest import ManifestEntry, check_official
 from dynagen_bench.datasets.remotes import Remote, namespace_of, own_metadata
-from dynagen_bench.whole import exclusively, whole_file, whole_folder
+from dynagen_bench.whole import exclusively, whole_folder, write_whole
 
 
 def arrival_folder(dataset_id: str) -> Path:
@@ -118,5 +118,4 @@ def download_namespaces(remote: Remote, namespaces: list[str]) -> None:
         with tempfile.TemporaryDirectory() as root:
             remote.fetch_namespace(namespace, Path(root))
             text = (Path(root) / namespace / NAMESPACE_METADATA_FILENAME).read_text(encoding="utf-8")
-        with whole_file(dataset_folder(namespace) / NAMESPACE_METADATA_FILENAME) as unfinished:
-            unfinished.write_text(json.dumps(own_metadata(json.loads(text))), encoding="utf-8")
+        write_whole(dataset_folder(namespace) / NAMESPACE_METADATA_FILENAME, json.dumps(own_metadata(json.loads(text))))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from dynagen_bench.collection.contents import DatasetRecord
-from dynagen_bench.whole import read_json, update_json
+from dynagen_bench.whole import stored_json, update_json
 
 RECORDS: Final = Path(__file__).parent
 """The folder of `manifest.json` and `reference_scores.json`, committed in the package."""
@@ -51,7 +51,7 @@ def read_manifest(records: Path = RECORDS) -> dict[str, ManifestEntry]:
         ValueError: the file is no manifest.
     """
     try:
-        return {dataset_id: ManifestEntry(**entry) for dataset_id, entry in read_json(manifest_file(records)).items()}
+        return {dataset_id: ManifestEntry(**entry) for dataset_id, entry in stored_json(manifest_file(records)).items()}
     except (TypeError, ValueError) as error:
         raise ValueError(
             f"{manifest_file(records)} is no manifest ({error}): restore it from the repository"

@@ -24,7 +24,7 @@ from minari.namespace import NAMESPACE_METADATA_FILENAME
 from dynagen_bench import ids
 from dynagen_bench.collection.contents import DatasetRecord, dataset_folder, read_record
 from dynagen_bench.datasets.remotes import Remote, namespace_of, own_metadata
-from dynagen_bench.whole import exclusively, whole_file, whole_folder
+from dynagen_bench.whole import exclusively, whole_folder, write_whole
 
 
 def add_to_tree(
@@ -128,8 +128,7 @@ def _local_metadata(namespace: str) -> dict[str, Any]:
 
 
 def _write_namespace(root: Path, namespace: str, metadata: Mapping[str, Any]) -> None:
-    with whole_file(root / namespace / NAMESPACE_METADATA_FILENAME) as unfinished:
-        unfinished.write_text(json.dumps(metadata, indent=1) + "\n", encoding="utf-8")
+    write_whole(root / namespace / NAMESPACE_METADATA_FILENAME, json.dumps(metadata, indent=1) + "\n")
 
 
 @contextlib.contextmanager

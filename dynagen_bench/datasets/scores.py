@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dynagen_bench import ids
-from dynagen_bench.whole import read_json, update_json
+from dynagen_bench.whole import stored_json, update_json
 
 REFERENCE_FILE: Final = Path(__file__).with_name("reference_scores.json")
 """robot → label → min, max and mean return of that dynamics' data; made with the data, from all of its snapshots."""
@@ -36,7 +36,7 @@ def reference_scores(robot: str, file: Path | None = None) -> dict[str, Referenc
     Raises:
         ValueError: an unknown robot, or one whose data have not been made yet.
     """
-    content = read_json(REFERENCE_FILE if file is None else file)
+    content = stored_json(REFERENCE_FILE if file is None else file)
     if ids.check_robot(robot) not in content:
         raise ValueError(
             f"no reference scores for {robot}: make them with its data, `dynagen data build {robot} --write-manifest`"

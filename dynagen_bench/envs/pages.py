@@ -28,7 +28,7 @@ from dynagen_bench.envs.rules import Rules, keyword_fields
 from dynagen_bench.envs.single import RENDER_KEYWORDS, RandomDynamics
 from dynagen_bench.envs.vector import RandomDynamicsVector
 from dynagen_bench.markdown import table
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import write_whole
 
 HEADINGS: Final = {
     "Actions": "Actions",
@@ -95,8 +95,7 @@ def write_page(robot: str, output: Path | None = None) -> None:
     if output is None:
         sys.stdout.write(page)
         return
-    with whole_file(output) as unfinished:
-        unfinished.write_text(page, encoding="utf-8")
+    write_whole(output, page)
 
 
 def attribute_docs(owner: type | ModuleType) -> dict[str, str]:

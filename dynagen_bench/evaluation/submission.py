@@ -26,7 +26,7 @@ from pydantic.json_schema import SkipJsonSchema
 from dynagen_bench.evaluation.result import MAX_RETURN, STRICT, EpisodeRecord, Evaluation, first_error
 from dynagen_bench.evaluation.sealed import read_inside
 from dynagen_bench.evaluation.traces import Traces, file_size, parse_traces, save_traces
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import write_whole
 
 FORMAT_VERSION: Final = 2
 FILE_NAME: Final = "submission.json"
@@ -248,8 +248,7 @@ def write_submission(folder: Path, submission: Submission, traces: Iterable[Trac
         if run.trace is not None:
             save_traces(folder / run.trace_name, given[run.trace])
     path = folder / FILE_NAME
-    with whole_file(path) as unfinished:
-        unfinished.write_bytes(content)
+    write_whole(path, content)
     return path
 
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from dynagen_bench import ids
 from dynagen_bench.dynamics import compile_nominal, load_dynamics
 from dynagen_bench.envs import HORIZON, BatchPhysics
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import write_whole
 
 INTERVAL: Final = 10
 """Steps between two stored states: few, so that another machine's rounding stays small over a segment
@@ -172,8 +172,7 @@ def _check_numbers(name: str, array: NDArray[Any], counts: NDArray[np.int64], st
 
 def save_traces(path: Path, traces: Traces) -> None:
     """Write a trace file, whole or not at all."""
-    with whole_file(path) as unfinished:
-        unfinished.write_bytes(traces.content)
+    write_whole(path, traces.content)
 
 
 def load_traces(path: Path, robot: str, lengths: NDArray[np.int64]) -> Traces:

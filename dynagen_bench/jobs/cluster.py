@@ -29,7 +29,7 @@ from dynagen_bench.jobs.attempt import Attempt
 from dynagen_bench.jobs.events import WAIT_SECONDS, Ended, Event, Progress
 from dynagen_bench.jobs.job import Job
 from dynagen_bench.jobs.records import JobFiles
-from dynagen_bench.whole import exclusively, whole_file
+from dynagen_bench.whole import exclusively, write_whole
 
 QUEUED: Final = 2
 """Tasks given to Ray for each processor of the cluster: some wait, so that it sees that more nodes would help."""
@@ -137,8 +137,7 @@ def _identity(records: Path) -> str:
     file = records / "id"
     with exclusively(file):
         if not file.is_file():
-            with whole_file(file) as unfinished:
-                unfinished.write_text(secrets.token_hex(16), encoding="ascii")
+            write_whole(file, secrets.token_hex(16))
         return file.read_text(encoding="ascii")
 
 
@@ -181,8 +180,7 @@ class _Task:
             self._log.write(content)
             self._log.flush()
         elif kind == "output":
-            with whole_file(self._scratch / detail) as unfinished:
-                unfinished.write_bytes(content)
+            write_whole(self._scratch / detail, content)
         elif kind == "ended":
             error, seconds = content
             return Ended(self._key, error, seconds=seconds, host=detail)

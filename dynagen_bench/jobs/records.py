@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from dynagen_bench.jobs.job import RECORDS, Job
-from dynagen_bench.whole import whole_file
+from dynagen_bench.whole import write_whole
 
 _TAIL: Final = 4096
 """Bytes of a log in which its last line is looked for."""
@@ -104,8 +104,7 @@ class JobFiles:
             for output in self._job.outputs
         }
         what = {"name": self._job.name, "function": self._job.function, "arguments": dict(self._job.arguments)}
-        with whole_file(self.record) as unfinished:
-            unfinished.write_text(json.dumps({**what, **about, "outputs": outputs}, indent=1) + "\n", encoding="utf-8")
+        write_whole(self.record, json.dumps({**what, **about, "outputs": outputs}, indent=1) + "\n")
         self.settle()
 
     def _in_place(self, outputs: dict[str, dict[str, Any]]) -> bool:

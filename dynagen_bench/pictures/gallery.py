@@ -20,7 +20,7 @@ from dynagen_bench.pictures.backend import choose_backend
 from dynagen_bench.pictures.factors import Group, factor_groups, legend
 from dynagen_bench.pictures.returns import BINS, HEIGHT, Distributions, distributions, load_returns
 from dynagen_bench.pictures.strips import LABELS, STEPS, Strip, draw_strips, make_strip
-from dynagen_bench.whole import check_writable, whole_file
+from dynagen_bench.whole import check_writable, write_whole
 
 QUALITY: Final = 68
 """Of WebP; a frame of 240 × 240 pixels has about 3 kB."""
@@ -80,8 +80,7 @@ def write_gallery(
     ]
     shown = {"legend": legend(), "bins": BINS, "height": HEIGHT, "size": size, "splits": ids.SPLIT_SIZES}
     page = render(__package__, "gallery.html.jinja", {}, sections=sections, **shown)
-    with whole_file(output) as unfinished:
-        unfinished.write_text(page, encoding="utf-8")
+    write_whole(output, page)
 
 
 def _data_uri(frame: Image.Image) -> str:
