@@ -155,7 +155,7 @@ def _entry(entry: Entry) -> str:
         f"- Authors: {', '.join(map(escape, submission.authors))}",
         f"- Links: {', '.join(links) or 'none'}",
         f"- Commit: {', '.join(submission.commits) or 'not given'}{untold}",
-        f"- Training: {' or '.join(map(str, steps))} gradient steps a run, {submission.hours:g} hours in all, "
+        f"- Training: {' or '.join(map(str, steps))} gradient steps a run, {submission.hours:.3g} hours in all, "
         f"on {escape(submission.hardware)}",
         f"- Evaluated with MuJoCo {' and '.join(map(escape, mujoco))}",
         f"- Versions: {', '.join(escape(f'{k} {v}') for k, v in sorted(submission.versions.items())) or 'not given'}\n",
