@@ -19,7 +19,6 @@ import rich.table
 import torch
 import tyro
 
-from agents import AGENTS
 from agents.fine_tuning import (
     CURVE,
     AdaptationSettings,
@@ -30,9 +29,9 @@ from agents.fine_tuning import (
     write_curve,
 )
 from agents.recording import progress_bar, read_result, write_result
-from agents.run_folder import ADAPTATION_CURVE, commit_of_all, git_commit, made_of, read_finished, read_json, write_json
+from agents.run_folder import ADAPTATION_CURVE, commit_of_all, git_commit, made_of, read_json, write_json
 from agents.threads import use_threads
-from agents.trained_run import TrainedRun, held_out_names
+from agents.trained_run import TrainedRun, check_finished, held_out_names
 from dynagen_bench import ids
 from dynagen_bench.evaluation import Evaluation
 from dynagen_bench.evaluation.traces import Traces, physics_digest
@@ -163,11 +162,8 @@ def command(
         curve: instead, measure the return after each number of steps, in the train dynamics that the runs held out.
         threads: processor threads for torch; 0 leaves it to torch.
     """
-    if not runs:
-        raise ValueError("no runs given: name at least one run folder")
     use_threads(threads)
-    for run in runs:  # a wrong one is told before the others are adapted
-        read_finished(run, AGENTS)
+    check_finished(runs)
     for run in runs:
         result = choose_steps(run, settings) if curve else adapt(run, settings)
         if not curve:

@@ -12,12 +12,11 @@ from typing import Annotated, Any, Final
 import rich.table
 import tyro
 
-from agents import AGENTS
 from agents.interface import Agent, Fitted
 from agents.learner import Learner
-from agents.run_folder import LEARNED, read_finished, write_json
+from agents.run_folder import LEARNED, write_json
 from agents.threads import use_threads
-from agents.trained_run import TrainedRun
+from agents.trained_run import TrainedRun, check_finished
 from agents.validation import set_apart
 from dynagen_bench import ids
 from dynagen_bench.datasets import load_dataset
@@ -46,9 +45,8 @@ def measure_learning(folder: Path, dynamics: int | None = None) -> dict[str, Any
 
 def _measured(run: TrainedRun, dynamics: int | None) -> dict[str, Any]:
     robot, seed = run.checkpoint.spec.robot, run.checkpoint.seed
-    most = ids.SPLIT_SIZES["train"]
-    if dynamics is not None and not 1 <= dynamics <= most:
-        raise ValueError(f"dynamics is {dynamics}: give a whole number from 1 to {most}, the train dynamics")
+    if dynamics is not None:
+        ids.check_count("dynamics", dynamics, most=ids.SPLIT_SIZES["train"])
     names = ids.choose_ids(robot, "train", None if dynamics is None else range(dynamics))
     trained, untrained = run.checkpoint.build_agent(), _untrained(run)
     assert isinstance(trained, Agent), "`TrainedRun` is of agents alone"
@@ -102,11 +100,8 @@ def _command(
         dynamics: measure in the first so many train dynamics; all of them if left out.
         threads: processor threads for torch; 0 leaves it to torch.
     """
-    if not runs:
-        raise ValueError("no runs given: name at least one run folder")
     use_threads(threads)
-    for folder in runs:  # a wrong one is told before the others are measured
-        read_finished(folder, AGENTS)
+    check_finished(runs)
     return table([measure_learning(folder, dynamics) for folder in runs])
 
 

@@ -13,13 +13,12 @@ from typing import Annotated, Final
 
 import tyro
 
-from agents import AGENTS
 from agents.fine_tuning import curve_table, write_curve
 from agents.interface import Agent
 from agents.recording import progress_bar
-from agents.run_folder import TARGET_CURVE, made_of, read_finished, read_json, write_json
+from agents.run_folder import TARGET_CURVE, made_of, read_json, write_json
 from agents.threads import use_threads
-from agents.trained_run import TrainedRun, held_out_names
+from agents.trained_run import TrainedRun, check_finished, held_out_names
 from dynagen_bench import ids
 from dynagen_bench.datasets.scores import reference_scores
 from dynagen_bench.evaluation import evaluate
@@ -96,11 +95,8 @@ def _command(
         targets: returns to ask for; a quarter to three halves of the highest in the train data if left out.
         threads: processor threads for torch; 0 leaves it to torch.
     """
-    if not runs:
-        raise ValueError("no runs given: name at least one run folder")
     use_threads(threads)
-    for folder in runs:  # a wrong one is told before the others are measured
-        read_finished(folder, AGENTS)
+    check_finished(runs)
     for folder in runs:
         found = measure_targets(folder, targets)
         title = f"{folder.name}: return in held-out train dynamics"

@@ -1,7 +1,7 @@
 """A run that training has ended, as what is done with its last checkpoint needs it.
 
-What is here: `TrainedRun` and `held_out_names`. Called by `adapt`, `evaluate`, `targets`, `fine_tuning` and
-`pretrained`. It must not know what is done.
+What is here: `TrainedRun`, `check_finished` and `held_out_names`. Called by `adapt`, `evaluate`, `targets`,
+`fine_tuning` and `pretrained`. It must not know what is done.
 """
 
 import contextlib
@@ -77,6 +77,18 @@ class TrainedRun:
         """The adaptation set of each dynamics, from the part of the snapshots that the run was trained on."""
         every = self.config["settings"]["every"]
         return [load_adaptation(x.robot, x.index, split=x.split, episodes=episodes, every=every) for x in names]
+
+
+def check_finished(runs: Sequence[Path]) -> None:
+    """Look at the folders of several runs of agents, so that a wrong one is told before the others are worked on.
+
+    Raises:
+        FileNotFoundError, ValueError: as `TrainedRun.read`, but for the checkpoints; or there are none.
+    """
+    if not runs:
+        raise ValueError("no runs given: name at least one run folder")
+    for folder in runs:
+        read_finished(folder, AGENTS)
 
 
 def held_out_names(run: TrainedRun) -> list[ids.DynamicsId]:

@@ -74,7 +74,7 @@ def test_an_interruption_is_one_line(command, tmp_path, monkeypatch):
     def stopped(*_, **__):
         raise KeyboardInterrupt
 
-    for what in ("agents.evaluate.read_finished", "agents.predict.read_run"):
+    for what in ("agents.evaluate.check_finished", "agents.predict.read_run"):
         monkeypatch.setattr(what, stopped)
     with pytest.raises(SystemExit, match=r"^130$"):
         command([str(tmp_path)])
